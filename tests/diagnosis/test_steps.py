@@ -114,7 +114,7 @@ def test_a_number_without_influence_does_not_refine_the_integration_step(
     jacobian[:, 7] = 0.0
     monkeypatch.setattr(convergence, "residual", lambda *_args: rng.standard_normal(3000))
     fitted: Any = SimpleNamespace(
-        handles=(None,) * 16, residual=np.zeros(3000), jacobian=jacobian, model=model_of()
+        handles=(None,) * 16, residual=np.zeros(3000), jacobian=jacobian, model=None
     )
     error = convergence.step_error(Data((), (), inner=2), fitted, (1,))
     assert error[7] == 0.0 and 0.0 < np.max(np.abs(error)) < 1.0

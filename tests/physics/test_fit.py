@@ -121,8 +121,7 @@ def test_the_effect_of_the_integration_step_is_known_without_another_fit(data: D
     bristles = {"kind": "presliding", "joint": 1, "stiffness": {"value": 2000.0, "free": False}}
     model = parse_model({**MODEL, "effect": [*MODEL["effect"], bristles]})
     handles = free_handles(model, offsets=False)
-    rare = data.thinned()
-    coarse, fine = replace(rare, inner=1), replace(rare, inner=16)
+    coarse, fine = replace(data, inner=1), replace(data, inner=8)
     one, eight = (fit(d, model, handles, joints=(1,), iterations=20) for d in (coarse, fine))
     told, really = step_error(coarse, one, (1,)), eight.x - one.x
     assert np.max(np.abs(really / one.std)) > 1.0  # a step so coarse that it matters

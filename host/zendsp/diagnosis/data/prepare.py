@@ -13,7 +13,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.errors import ModelError
-from zendsp.physics.calibration.fit import Data, inner_steps
+from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value, share_facts
 from zendsp.physics.effects.base import Scale
 from zendsp.physics.kernel.signals import (
@@ -45,8 +45,7 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
     """
     records = tuple(_records(s, model) for s in signals)
     share_facts(records)
-    ranges = inertia_ranges(records, model)
-    return Data(records, (bandwidth,) * model.joints, inner_steps(records), ranges)
+    return Data(records, (bandwidth,) * model.joints, ranges=inertia_ranges(records, model))
 
 
 def one_sensor(signals: Sequence[Signals]) -> list[Signals]:

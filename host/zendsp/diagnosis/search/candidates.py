@@ -19,6 +19,7 @@ from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Term
 
+COARSE = 1e-3  # s
 LIVELY = 6.0  # s, or a quarter of a recording: enough for start values of a transmission
 SLOWEST = 8.0  # rad/s: slowest observer of a screen
 STARTS = 2  # start values of an effect that are fitted
@@ -176,12 +177,20 @@ def as_given(model: Model, given: Model) -> Model:
     return replace(model, mechanism=given.mechanism, terms=tuple(terms))
 
 
+def coarse(data: Data) -> Data:
+    """The same recordings with integration steps of up to a millisecond, for a first fit of a
+    hypothesis.
+    """
+    steps = [min(data.inner, math.ceil(rec[0].sample_time / COARSE - 1e-6)) for rec in data.records]
+    return replace(data, inner=max(1, *steps))
+
+
 def first_look(data: Data, model: Model, joint: int) -> Data:
-    """The recordings for a first fit of a model, thinned where no resonance of a transmission needs
-    every sample.
+    """The recordings for a first fit of a model: with coarse steps, and thinned where no resonance
+    of a transmission needs every sample.
     """
     fast = any(get_effect(t.effect).family == "transmission" for t in model.at(joint))
-    return data if fast else data.thinned()
+    return coarse(data if fast else data.thinned())
 
 
 def scan(
@@ -207,7 +216,7 @@ def scan(
             for values in effect.scan(facts(record, model, numbers))
         ]
     if effect.family == "transmission":
-        data = data.liveliest(joint, LIVELY)
+        data = coarse(data).liveliest(joint, LIVELY)
     elif not any(get_effect(t.effect).family == "transmission" for t in models[0].at(joint)):
         data = data.thinned()
     trials = [

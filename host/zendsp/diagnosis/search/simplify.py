@@ -18,7 +18,7 @@ from zendsp.diagnosis.measure.likelihood import (
 )
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR, SIGNIFICANT, vanishes, whole
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, price
-from zendsp.physics.calibration.convergence import halved, step_error, with_step_error
+from zendsp.physics.calibration.convergence import step_error, with_step_error
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
 from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import make_term
@@ -108,7 +108,7 @@ def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
         ours = np.array([h.place == "term" for h in fitted.handles], bool)
         if not np.any(ours & (np.abs(error) > SIGNIFICANT * np.hypot(fitted.std, least))):
             break
-        data = halved(best.data, best.model, (joint,))
+        data = replace(best.data, inner=2 * best.data.inner)
         best = fit_scored(data, best.model, best.fit.handles, (joint,), jobs=jobs, rounds=1)
     return best
 

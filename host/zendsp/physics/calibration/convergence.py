@@ -11,18 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.calibration.fit import Data, Fit, residual
-from zendsp.physics.calibration.predict import at_least
-from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
 SECOND_ORDER = 4.0 / 3.0  # the change from one step to its half, extrapolated to step zero
 UNFELT = 1e-30  # of the largest influence of any number on the innovations: less counts as none
-
-
-def halved(data: Data, model: Model, joints: Sequence[int]) -> Data:
-    """The same recordings with half the integration step that a model takes at some joints."""
-    return replace(data, inner=2 * max(at_least(data.inner, model, j) for j in joints))
 
 
 def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
@@ -45,7 +38,7 @@ def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
     """
     if not len(fitted.handles):
         return np.zeros(0)
-    finer = residual(halved(data, fitted.model, joints), fitted.model, tuple(joints))
+    finer = residual(replace(data, inner=2 * data.inner), fitted.model, tuple(joints))
     rows = len(finer)  # the rows after these are those of the prior
     change = np.zeros(len(fitted.residual))
     change[:rows] = finer - fitted.residual[:rows]

@@ -7,7 +7,6 @@ give too small uncertainties.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -36,9 +35,6 @@ NEAR = 0.02  # of a bound: a number this near counts as at it
 ZERO_ERROR = 2e-3
 # s between the samples of a first fit: sixteen per radian of the fastest observer
 FIRST_LOOK = 4e-3
-# s: longest integration step where a sample is one step. Where it is too long, the step error of a
-# fit says so (convergence.py), and the search halves it
-INNER_STEP = 2e-3
 REMEMBERED = 32  # fits kept for a recording, since a search repeats some
 
 
@@ -55,11 +51,6 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
             continue
         out.append(h)
     return tuple(out)
-
-
-def inner_steps(records: Sequence[Sequence[JointRecord]]) -> int:
-    """Integration steps a sample to begin with: as many as a millisecond wants, two at most."""
-    return max(min(2, math.ceil(rec[0].sample_time / INNER_STEP - 1e-6)) for rec in records)
 
 
 @dataclass(frozen=True)
@@ -82,11 +73,13 @@ class Data:
 
     def thinned(self) -> Data:
         """The same recordings, thinned for a first fit of a hypothesis."""
-        records = tuple(
-            tuple(r.thinned(int(FIRST_LOOK / r.sample_time + 1e-6)) for r in rec)
-            for rec in self.records
+        return replace(
+            self,
+            records=tuple(
+                tuple(r.thinned(int(FIRST_LOOK / r.sample_time + 1e-6)) for r in rec)
+                for rec in self.records
+            ),
         )
-        return replace(self, records=records, inner=inner_steps(records))
 
     def liveliest(self, joint: int, seconds: float) -> Data:
         """The recordings reduced to the part in which a joint (1-based) is accelerated most: this

@@ -28,7 +28,6 @@ _NOTHING = np.zeros(0)
 RAN_AWAY = 1e9
 LONGEST = 1.5  # longest integration step, times inertia over damping
 MOST_STEPS = 8  # a sample
-SWIFT = ("transmission", "presliding")  # families of effects with states that move within a sample
 REMEMBERED = 32  # predictions kept for a recording, since a decision repeats some
 AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
 
@@ -310,20 +309,11 @@ def _first_acceleration(record: JointRecord) -> float:
     return 0.0 if abs(speed[0]) < abs(gained) else gained / (soon * record.sample_time)
 
 
-def at_least(inner: int, model: Model, joint: int) -> int:
-    """Integration steps per sample of a joint (1-based), ``inner`` or more: two at least for a load
-    behind a spring, and for friction that creeps or bends, which move faster than a rigid joint.
-    """
-    swift = any(get_effect(t.effect).family in SWIFT for t in model.at(joint))
-    return max(inner, 2) if swift else inner
-
-
 def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> tuple[int, bool]:
     """Integration steps per sample, ``inner`` or more, and whether even these are too few for the
     joint's damping. A small inertia with much viscous friction stops in less than a step, and an
     explicit step longer than twice that time diverges.
     """
-    inner = at_least(inner, model, record.joint)
     damping = sum(
         max([0.0, *(term.value(p.name) for p in effect.parameters if p.size == "torque/speed")])
         for term in model.at(record.joint)
