@@ -583,6 +583,8 @@ def test_a_piece_is_not_worth_more_than_all_that_was_found(
     monkeypatch.setattr(pieces, "compare", lambda *_: Evidence(9.0, 9.0, np.ones(4)))
     monkeypatch.setattr(pieces, "log_e_value", lambda *_: 0.0)
     monkeypatch.setattr(pieces, "_lacks", lambda *_: True)
+    new: list[Term] = []
+    monkeypatch.setattr(pieces, "new_terms", lambda *_: new)
     test: Any = SimpleNamespace(joints=1)
     terms = (Term("viscous", 1, {"coefficient": Quantity(380.0)}),)
 
@@ -590,5 +592,8 @@ def test_a_piece_is_not_worth_more_than_all_that_was_found(
         return pieces.piece_of(test, Any, final, "fluid_friction", terms, base, 1)  # type: ignore[arg-type]
 
     assert (asked().without, asked().size) == (base, 0.6)
+    new.append(Term("quadratic_drag", 1, {"coefficient": Quantity(1.0)}))
+    assert (asked().without, asked().size) == (away, 14.0), "a law that another one needs"
+    new.clear()
     sizes[away.model] = 0.5
     assert (asked().without, asked().size) == (away, 0.5)

@@ -187,13 +187,15 @@ def piece_of(
     """The piece of some terms of a joint: the cost of taking them away, on untouched recordings.
     ``base``: the calibrated model. The others contain it, so none of them can fit worse. Nor is a
     piece worth more than all of them: terms that cancel each other diverge when one is taken away.
+    (Among the laws of one mechanism the one that the others need most comes first.)
     """
     joint = terms[0].joint
     without = _without(given, final, joint, terms, jobs)
     without = min(without, base, key=lambda scored: scored.deviance)
     size = difference(test, without.model, final.model, joint)
-    if size > RUN_AWAY and size > (whole := difference(test, base.model, final.model, joint)):
-        without, size = base, whole
+    if size > RUN_AWAY and not _has_kin(given, final.model, mechanism, terms):
+        whole = difference(test, base.model, final.model, joint)
+        without, size = (base, whole) if whole < size else (without, size)
     held = compare(without, final, test, joint)
     size *= _unseen(test, final.model, terms, joint)
     log_e = log_e_value(held, without, final, test, joint)
@@ -202,6 +204,12 @@ def piece_of(
     if not _likely(test, piece) or _even(piece):
         return piece
     return replace(piece, slowly=heard_slowly(without, final, test, joint))
+
+
+def _has_kin(given: Model, model: Model, mechanism: str, terms: Sequence[Term]) -> bool:
+    """Whether further terms of the same mechanism at the joint are new."""
+    new = new_terms(given, model, terms[0].joint)
+    return any(mechanism_of(t.effect) == mechanism and not any(t is x for x in terms) for t in new)
 
 
 def _unseen(test: Data, model: Model, terms: Sequence[Term], joint: int) -> float:
