@@ -263,8 +263,8 @@ def contradicted(rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
 
 
 def is_stepped(effect: str) -> bool:
-    """Whether a simulator that takes other steps, or rows that say little of the command between
-    them, may look like an effect: what comes late or swings.
+    """Whether an effect may come from a simulator's step size, or from unknown commands between
+    rows: delays, lags, and oscillating loads.
     """
     return get_effect(effect).family in ("timing", "transmission")
 

@@ -182,6 +182,8 @@ def _one_by_one(after: Scored, joint: int, jobs: int) -> list[Fit]:
     differs between them; empty if it does not.
     """
     last = len(after.model.terms) - 1
+    if len(after.data.records) < 2:
+        return []
     alone = []
     for records in after.data.records:
         data = replace(after.data, records=(records,))
@@ -196,17 +198,17 @@ def _one_by_one(after: Scored, joint: int, jobs: int) -> list[Fit]:
     return alone if apart else []
 
 
-def _of_each(alone: Sequence[Fit], joint_fit: Estimate, unit: str) -> tuple[Estimate, str]:
+def _of_each(alone: Sequence[Fit], of_all: Estimate) -> tuple[Estimate, str]:
     """The mean amplitude of the recordings by themselves, and a sentence on it. One phase for all
     of them gives less: a mean of vectors that differ in direction.
     """
     sizes = np.array([abs(float(f.x[0])) for f in alone])
     std = math.hypot(float(np.mean([f.std[0] for f in alone])), float(np.ptp(sizes)) / 2.0)
-    size = Estimate(float(sizes.mean()), std, joint_fit.unit)
+    size = Estimate(float(sizes.mean()), std, of_all.unit)
     listed = ", ".join(f"{x:#.3g}" for x in sizes)
     return size, (
-        f" Its phase differs between the recordings, which have {listed} {unit} each: one phase for"
-        f" all would give {joint_fit.value:.3g}, as the improved model has it."
+        f" Its phase differs between the recordings, which have {listed} {of_all.unit} each: one"
+        f" phase for all would give {of_all.value:.3g}, as the improved model has it."
     )
 
 
@@ -233,8 +235,7 @@ def _reported(
     )
     more = " Its phase holds for the position zero of these recordings."
     if alone:
-        size = values["amplitude"]
-        values["amplitude"], more = _of_each(alone, size, size.unit)
+        values["amplitude"], more = _of_each(alone, values["amplitude"])
     text = f"{sentence(term, values)} It passes faster than the other effects.{more}"
     finding = Finding(
         "ripple",
