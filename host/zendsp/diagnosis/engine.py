@@ -257,7 +257,8 @@ def _by_one_clock(found: Found) -> tuple[Found, list[str]]:
     said = apart_in_time(found.parts, found.whole.improved, loads)
     late = {joint for joint, _ in said}
     decisions = [
-        unpushed(d) if d.kind == "disturbance" and d.joint in late else d for d in found.decisions
+        unpushed(d) if d.kind == Verdict.DISTURBANCE and d.joint in late else d
+        for d in found.decisions
     ]
     return replace(found, decisions=decisions), [sentence for _, sentence in said]
 
@@ -266,16 +267,16 @@ def _verdict(
     findings: Sequence[Finding], decisions: Sequence[Decision], stopped: bool
 ) -> Verdict:
     if findings:
-        return "missing"
-    complete = not stopped and {d.kind for d in decisions} == {"complete"}
-    return "complete" if complete else "unexplained"
+        return Verdict.MISSING
+    complete = not stopped and {d.kind for d in decisions} == {Verdict.COMPLETE}
+    return Verdict.COMPLETE if complete else Verdict.UNEXPLAINED
 
 
 def _doubted(
     findings: Sequence[Finding], decisions: Sequence[Decision]
 ) -> tuple[tuple[str, int], ...]:
     """Effects that only the recordings of the fit show, where nothing else is left open."""
-    if findings or any(d.kind != "complete" and not d.doubted for d in decisions):
+    if findings or any(d.kind != Verdict.COMPLETE and not d.doubted for d in decisions):
         return ()
     return tuple(law for d in decisions for law in d.doubted)
 
@@ -356,7 +357,7 @@ def _located(
     verdict: Verdict,
 ) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
     """Where and when the missing torque acts; for a complete model, when something pushes it."""
-    if verdict != "complete":
+    if verdict != Verdict.COMPLETE:
         return located({j: lacking[j] for j in _lacking(found, findings, verdict)})
     pushes = [d.beside for d in found.decisions if d.beside is not None]
     spans = tuple(span for push in pushes for span in push.intervals)
@@ -367,11 +368,12 @@ def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set
     """The joints at which something is missing; all joints where a body is missing, which all may
     feel.
     """
-    if verdict == "complete":
+    if verdict == Verdict.COMPLETE:
         return set()
     if found.claims:
         return {d.joint for d in found.decisions}
-    return {f.joint for f in findings} | {d.joint for d in found.decisions if d.kind != "complete"}
+    lacking = {d.joint for d in found.decisions if d.kind != Verdict.COMPLETE}
+    return lacking | {f.joint for f in findings}
 
 
 def _errors(parts: Parts, models: tuple[Model, Model, Model]) -> list[Errors]:

@@ -23,7 +23,7 @@ from zendsp.diagnosis.decide.absorbed import bodies_wrong, shifted
 from zendsp.diagnosis.decide.across import all_late, pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
-from zendsp.diagnosis.decide.contract import BEYOND
+from zendsp.diagnosis.decide.contract import BEYOND, Verdict
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.notes import MADE_WORSE
 from zendsp.diagnosis.decide.pieces import rms_torque
@@ -133,7 +133,9 @@ def with_their_links(
     # the motion within a measured gap depends on the last digits of its numbers
     gaps = {t.joint for t in beneath.terms[len(given.terms) :] if get_effect(t.effect).rough}
     calm = [
-        unpushed(d) if d.kind == "disturbance" and (swinging - {d.joint} or d.joint in gaps) else d
+        unpushed(d)
+        if d.kind == Verdict.DISTURBANCE and (swinging - {d.joint} or d.joint in gaps)
+        else d
         for d in explained[1]
     ]
     return now, (explained[0], calm, explained[2])
@@ -275,7 +277,7 @@ def not_searched(
     left, none = discrepancy(parts.test, base.model, joint), Structure(0.0, 0.0, 0.0)
     scale = rms_torque(parts.test, joint)
     decision = Decision(
-        joint, "unexplained", (), (), base, base, left, left, none, left, base, scale,
+        joint, Verdict.UNEXPLAINED, (), (), base, base, left, left, none, left, base, scale,
         searched=False,
     )  # fmt: skip
     return JointSearch(joint, base), decision
@@ -323,9 +325,9 @@ def _seems(decision: Decision) -> str:
     """A sentence on the decision of one joint, before all are considered together."""
     laws = ", ".join(c.effect for c in decision.claims)
     plain = {
-        "complete": "nothing seems to be missing",
-        "disturbance": "something pushes it",
-        "unexplained": "something is missing that has no name",
+        Verdict.COMPLETE: "nothing seems to be missing",
+        Verdict.DISTURBANCE: "something pushes it",
+        Verdict.UNEXPLAINED: "something is missing that has no name",
     }
     return plain.get(decision.kind) or f"{laws} seems to be missing"
 

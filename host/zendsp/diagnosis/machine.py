@@ -20,6 +20,7 @@ from zendsp.diagnosis.decide.across import (
 )
 from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide_bodies import (
     BodyClaim,
     beside_bodies,
@@ -142,7 +143,7 @@ def _without_pushes(
         largest = _pushes(found.decisions, largest=True)
         fit, choose, test = (cut_out(part, largest) for part in signals)
     # pushes beside a missing friction are certain once the friction is known without them
-    alone = [d if d.kind == "disturbance" else unpushed(d) for d in found.decisions]
+    alone = [d if d.kind == Verdict.DISTURBANCE else unpushed(d) for d in found.decisions]
     if not (choose or test):
         return _loaded(replace(found, decisions=alone), given, jobs)
     untouched = prepare(one_sensor(test or choose), given, 64.0)
@@ -331,7 +332,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     fine = [
         ripple
         for search, decision in zip(searches, decisions, strict=True)
-        if decision.kind in ("complete", "missing")
+        if decision.kind in (Verdict.COMPLETE, Verdict.MISSING)
         for ripple in fine_ripples(
             parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
         )
@@ -427,7 +428,7 @@ def _beside_pushes(pushed: Found, found: Found) -> Found:
     decisions = []
     for first, again in zip(pushed.decisions, found.decisions, strict=True):
         if first.bursts is not None:
-            kind = "disturbance" if again.kind == "complete" else again.kind
+            kind = Verdict.DISTURBANCE if again.kind == Verdict.COMPLETE else again.kind
             beside = everywhere(first.bursts, every, again.final.model, again.joint)
             bursts = beside if beside.intervals else first.bursts
             again = replace(again, kind=kind, bursts=bursts)

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.nameless import without_law
 from zendsp.diagnosis.decide.pieces import piece_of
 from zendsp.diagnosis.decide.pushes import unpushed
@@ -95,7 +96,7 @@ def _of_state(decisions: Sequence[Decision]) -> float:
 
 
 def _lacks_of_state(d: Decision) -> bool:
-    return d.kind == "unexplained" and d.state.size > OF_STATE and d.state.z > SURE
+    return d.kind == Verdict.UNEXPLAINED and d.state.size > OF_STATE and d.state.z > SURE
 
 
 def _is_pulled(d: Decision) -> bool:
@@ -134,7 +135,7 @@ def pushed_alone(decisions: Sequence[Decision]) -> list[Decision]:
     """
     most = _of_state(decisions) / PREDICTED
     return [
-        unpushed(d) if d.kind == "disturbance" and d.before.value * d.scale < most else d
+        unpushed(d) if d.kind == Verdict.DISTURBANCE and d.before.value * d.scale < most else d
         for d in decisions
     ]
 
@@ -262,7 +263,7 @@ def _late_as_all(decision: Decision, claim: Claim, scored: Scored, parts: Parts)
     """The decision with the common delay of all joints as its only claim."""
     after = discrepancy(parts.test, scored.model, decision.joint)
     return replace(
-        decision, kind="missing", claims=(claim,), refinements=(), bursts=None,
+        decision, kind=Verdict.MISSING, claims=(claim,), refinements=(), bursts=None,
         final=scored, alone=scored, after=after, bare=after,
     )  # fmt: skip
 

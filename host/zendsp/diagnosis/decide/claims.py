@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, Verdict
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES
@@ -113,7 +112,7 @@ class Decision:
     """The decision about one joint."""
 
     joint: int
-    kind: Verdict | Literal["disturbance"]
+    kind: Verdict
     claims: tuple[Claim, ...]
     refinements: tuple[Claim, ...]
     base: Scored
@@ -154,7 +153,7 @@ def unclaimed(decision: Decision) -> Decision:
     near = Near(laws[0], decision.before.value, decision.after.value, why) if laws else None
     return replace(
         decision,
-        kind="unexplained",
+        kind=Verdict.UNEXPLAINED,
         claims=(),
         refinements=(),
         final=decision.base,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, TypedDict
+from typing import TypedDict
 
 from zendsp.physics.effects import get_effect
 
@@ -38,7 +38,17 @@ WORDS = {
 
 NOT_SURELY = "not surely this law"  # first words of the reason of a near law
 
-Verdict = Literal["complete", "missing", "unexplained"]
+
+class Verdict(StrEnum):
+    """What a diagnosis says of a machine, or a decision of a joint; compares as its text."""
+
+    COMPLETE = "complete"
+    MISSING = "missing"
+    UNEXPLAINED = "unexplained"
+    DISTURBANCE = "disturbance"  # of a joint alone: something pushes it
+
+    def __repr__(self) -> str:
+        return repr(self.value)
 
 
 class Reason(StrEnum):
@@ -271,7 +281,7 @@ def is_stepped(effect: str) -> bool:
 
 def nearest(verdict: Verdict, rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
     """The effect nearest to the unexplained torque of each joint, with the joint."""
-    if verdict != "unexplained":
+    if verdict != Verdict.UNEXPLAINED:
         return ()
     return tuple(
         (r.effect, r.joint) for r in _likeliest(r for r in rejected if r.reason is Reason.NEAR)

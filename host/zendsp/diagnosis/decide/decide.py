@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, Piece
-from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, contradicted
+from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, Verdict, contradicted
 from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.nameless import only_mechanism
@@ -90,21 +90,21 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         Receives a sentence at each stage.
     """
     out = _decided(parts, given, search, jobs, tell)
-    if out.kind == "complete" and (doubted := contradicted(out.lost)):
-        out = replace(out, kind="unexplained", doubted=doubted)
+    if out.kind == Verdict.COMPLETE and (doubted := contradicted(out.lost)):
+        out = replace(out, kind=Verdict.UNEXPLAINED, doubted=doubted)
     turning = not rubs(search.base.model, search.joint)
     if lost(parts, search.base.model, search.joint):
         return out
-    if out.kind == "missing" and not any(c.effect == "unknown" for c in out.claims):
+    if out.kind == Verdict.MISSING and not any(c.effect == "unknown" for c in out.claims):
         models = [out.final]
     # missing friction and pushes hide each other
-    elif out.kind == "unexplained" and not out.loads:
+    elif out.kind == Verdict.UNEXPLAINED and not out.loads:
         models = [r.scored for r in search.tried if get_effect(r.effect).common]
         models += [search.best] if search.best is not None else []
     else:
         return replace(out, beside=felt(out, parts, turning))
     out = replace(out, bursts=pushed_beside(out, models, parts, turning))
-    small = out.kind == "unexplained" and beyond(out.before.value, out.known.all) < LAWFUL
+    small = out.kind == Verdict.UNEXPLAINED and beyond(out.before.value, out.known.all) < LAWFUL
     if small and out.bursts is None:
         return replace(out, beside=felt(out, parts, turning))
     return out
@@ -151,14 +151,15 @@ def _decided(
                 most = decision.after.value**2 < (1.0 - PREDICTED) * before.value**2
                 kind = kind_of(decision.claims[0].mechanism)
                 same = any(c.mechanism in kind for c in plain.claims)
-                stands = plain.kind == "complete" or (most and not plain.claims) or same
+                stands = plain.kind == Verdict.COMPLETE or (most and not plain.claims) or same
                 if len(decision.claims) == 1:
                     return decision if stands else plain
                 # several mechanisms without any law are one unknown torque
-                return replace(plain, kind="unexplained") if plain.kind == "complete" else plain
+                unnamed = plain.kind == Verdict.COMPLETE
+                return replace(plain, kind=Verdict.UNEXPLAINED) if unnamed else plain
     nothing = _nothing_named(parts, given, search, before, asked, jobs)
     several = len({rec[0].recording for part in parts.each for rec in part.records}) > 1
-    if nothing.kind != "unexplained" or not several:
+    if nothing.kind != Verdict.UNEXPLAINED or not several:
         return nothing
     return replace(nothing, loads=by_own_numbers(nothing, parts, jobs))
 
@@ -248,7 +249,7 @@ def _nothing_named(
     lost = tuple(_lost(e, joint, gain, pieces, before, beside) for e, gain in tried.items())
     out = Decision(
         joint,
-        "complete",
+        Verdict.COMPLETE,
         (),
         (),
         base,
@@ -270,9 +271,9 @@ def _nothing_named(
     asked = _asked(out, parts, given, turning)
     # something surely acts there, but is smaller than what stays unexplained
     drowned = any(sure(parts.test, p) and beyond(p.size, out.known.all) > OF_STATE for p in pieces)
-    if drowned and asked.kind == "complete" and not _half_a_row(out, parts, jobs):
-        return replace(out, kind="unexplained")
-    if drowned or asked.kind == "complete":
+    if drowned and asked.kind == Verdict.COMPLETE and not _half_a_row(out, parts, jobs):
+        return replace(out, kind=Verdict.UNEXPLAINED)
+    if drowned or asked.kind == Verdict.COMPLETE:
         return asked
     # numbers fitted to slow motion may be off by this much in fast motion
     whole = fitted_to(parts.all, base, joint, jobs)
@@ -280,7 +281,7 @@ def _nothing_named(
     state = structure(parts.each, whole.model, joint, STRUCTURED, turning)
     fitted = replace(out, base=whole, final=whole, before=size, after=size, state=state)
     again = _asked(fitted, parts, given, turning)
-    if again.kind != "complete" or _contradicted(parts.fit, base, whole, joint):
+    if again.kind != Verdict.COMPLETE or _contradicted(parts.fit, base, whole, joint):
         return asked
     return replace(out, final=whole, after=size, state=state)
 
@@ -320,8 +321,8 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
     if of_state > OF_STATE and predicts(out.state):
         claim = only_mechanism(parts, given, out, turning)
         if claim is not None:
-            return replace(out, kind="missing", claims=(claim,))
-        return replace(out, kind="unexplained")
+            return replace(out, kind=Verdict.MISSING, claims=(claim,))
+        return replace(out, kind=Verdict.UNEXPLAINED)
     lawful = lacks > LAWFUL and _lawful(parts, out.base, out.joint, turning)
     error = rms(window_error(parts.test, out.base.model, out.joint))
     sensor = noise_floor(parts.test, out.joint)
@@ -330,13 +331,13 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
     # an error n times the sensor's counts as much with an nth of the torque
     thrown = off and lacks > OF_STATE and lacks * error > THROWN * sensor
     if lawful or surely or thrown or (lacks > MACHINE and out.before.low > 0.0):
-        return replace(out, kind="unexplained")
+        return replace(out, kind=Verdict.UNEXPLAINED)
     if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
-        return replace(out, kind="unexplained")
+        return replace(out, kind=Verdict.UNEXPLAINED)
     if parts.choose is not parts.test:  # these are held out too, and count as well
         chosen = discrepancy(parts.choose, out.base.model, out.joint)
         if beyond(chosen.value, out.known.all) > AMISS:
-            return replace(out, kind="unexplained", after=chosen)
+            return replace(out, kind=Verdict.UNEXPLAINED, after=chosen)
     return out
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed
 from zendsp.diagnosis.decide.confidence import SUREST
-from zendsp.diagnosis.decide.contract import Further, Rejected
+from zendsp.diagnosis.decide.contract import Further, Rejected, Verdict
 from zendsp.diagnosis.decide.pieces import log_e_value
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR, OWN_SHARE, PLAIN, SURE
@@ -208,7 +208,7 @@ def beside_bodies(
         ]
         keep = tuple(c for c in decision.claims if not any(c is w for w in weight))
         if weight:
-            kind = decision.kind if keep else "complete"
+            kind = decision.kind if keep else Verdict.COMPLETE
             # a refinement is a law of the improved model, whatever was claimed of it
             laws = [_as_law(c) for c in weight if c.term.effect != "unknown"]
             more = (*decision.refinements, *laws)

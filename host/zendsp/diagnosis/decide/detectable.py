@@ -23,6 +23,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.confidence import least_stated
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pieces import (
     dependence,
     finest,
@@ -96,7 +97,7 @@ def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Dec
     shown = {x.joint for x in seen if x.mechanism in {*FRICTION, "position_torque"}}
     return [
         replace(d, after=replace(d.after, high=1.0))
-        if d.kind == "complete" and d.joint not in shown
+        if d.kind == Verdict.COMPLETE and d.joint not in shown
         else d
         for d in decisions
     ]

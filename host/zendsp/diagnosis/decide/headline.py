@@ -53,21 +53,22 @@ def verdict_sentence(
 
     Examples
     --------
-    >>> verdict_sentence("missing", [("actuator", ("lag", "delay"), 1), ("actuator", ("lag",), 2)])
+    >>> drives = [("actuator", ("lag", "delay"), 1), ("actuator", ("lag",), 2)]
+    >>> verdict_sentence(Verdict.MISSING, drives)
     'Missing physics: the actuator (lag or delay) at joint 1; the actuator (lag) at joint 2.'
     >>> same = [("dry_friction", ("coulomb",), joint) for joint in (1, 2, 3)]
-    >>> verdict_sentence("missing", same)
+    >>> verdict_sentence(Verdict.MISSING, same)
     'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
-    >>> verdict_sentence("missing", [("inertia", ("payload",), 2)])
+    >>> verdict_sentence(Verdict.MISSING, [("inertia", ("payload",), 2)])
     'Other than the model says: a mass or an inertia (payload) at joint 2.'
-    >>> verdict_sentence("complete", [], left=[(1, 0.015)]).rpartition(" and ")[2]
+    >>> verdict_sentence(Verdict.COMPLETE, [], left=[(1, 0.015)]).rpartition(" and ")[2]
     'has no name: 1.5 % of the torque of joint 1.'
-    >>> verdict_sentence("unexplained", [], doubted=[("backlash", 1)])[:73]
+    >>> verdict_sentence(Verdict.UNEXPLAINED, [], doubted=[("backlash", 1)])[:73]
     'Cannot tell: the recordings of the fit are by far likelier with backlash '
-    >>> verdict_sentence("unexplained", [], near=[("backlash", 1)])[:66]
+    >>> verdict_sentence(Verdict.UNEXPLAINED, [], near=[("backlash", 1)])[:66]
     'Unexplained: something is missing that is most like backlash at jo'
     """
-    if verdict == "complete" and unseen:
+    if verdict == Verdict.COMPLETE and unseen:
         return (
             "Cannot tell: nothing is seen to be missing, but the recordings to judge on leave open"
             f" up to all of the torque of {listed(unseen)}."
@@ -77,20 +78,20 @@ def verdict_sentence(
             f"Cannot tell: the recordings of the fit are by far likelier with {_at(doubted)}, and"
             " the untouched ones do not show it. Hold out motion as fast as theirs."
         )
-    if near and verdict == "unexplained":
+    if near and verdict == Verdict.UNEXPLAINED:
         return (
             f"Unexplained: something is missing that is most like {_at(near)}, and not surely that;"
             " no physics is claimed."
         )
-    if verdict == "complete" and left:
+    if verdict == Verdict.COMPLETE and left:
         shares = " and ".join(f"{percent(share)} of the torque of joint {j}" for j, share in left)
         return (
             "Complete: no known effect is missing that these recordings could show. What is left is"
             f" more than the error of the sensor and has no name: {shares}."
         )
-    if verdict == "complete":
+    if verdict == Verdict.COMPLETE:
         return "Complete: nothing is missing that these recordings could show."
-    if verdict == "unexplained":
+    if verdict == Verdict.UNEXPLAINED:
         return (
             "Unexplained: something is missing that no known effect describes; no physics is"
             " claimed."

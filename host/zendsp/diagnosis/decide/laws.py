@@ -12,6 +12,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
 from zendsp.diagnosis.decide.near import doubt, why_curve
 from zendsp.diagnosis.decide.patchwork import (
@@ -129,7 +130,7 @@ def named(
     alone = _alone(given, final, joint, claims, refinements, jobs)
     return Decision(
         joint,
-        "missing",
+        Verdict.MISSING,
         tuple(claims),
         tuple(refinements),
         search.base,

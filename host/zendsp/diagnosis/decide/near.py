@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.decide.claims import Decision, Near, Piece
-from zendsp.diagnosis.decide.contract import Rejected, nearest
+from zendsp.diagnosis.decide.contract import Rejected, Verdict, nearest
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.measure.discrepancy import Size
 
@@ -81,7 +81,7 @@ def nearest_law(
     lost: Sequence[Rejected], pieces: Sequence[Piece], before: Size, after: Size
 ) -> Near | None:
     """The likeliest of the tried laws, where one explains most of the missing torque."""
-    named = nearest("unexplained", lost)
+    named = nearest(Verdict.UNEXPLAINED, lost)
     piece = next((p for e, _ in named for p in pieces if e in p.effects), None)
     if piece is None:
         return None

@@ -75,7 +75,7 @@ def _loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
         f" {percent(d.after.value)} %. The first recordings hardly determine the numbers for such"
         " motion: fit one that has it too"
         for d in decisions
-        if d.kind == "complete" and d.final is not d.base
+        if d.kind == Verdict.COMPLETE and d.final is not d.base
     ]
 
 
@@ -87,7 +87,7 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
         " that better. Whether the machine itself creeps at standstill they do not tell; it is no"
         " missing physics"
         for d in decisions
-        if d.kind != "unexplained"  # there the reversals may be what is unexplained
+        if d.kind != Verdict.UNEXPLAINED  # there the reversals may be what is unexplained
         for unit in [units(given, d.joint)["velocity"]]
         for t in d.final.model.at(d.joint)
         if t.effect == "creep" and not any(g.effect == "creep" for g in given.at(d.joint))
@@ -105,7 +105,7 @@ def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
         " or of a loop faster than the rows ([actuator] hold). The model has it; "
         + (
             "it may stand in for a part of what is missing"
-            if d.kind == "unexplained"
+            if d.kind == Verdict.UNEXPLAINED
             else "it is no missing physics"
         )
         for d in decisions
@@ -161,7 +161,7 @@ def apart(errors: Errors, verdict: Verdict) -> list[str]:
     """
     known, floor = errors.estimation.improved, errors.noise_floor
     far = errors.test.improved >= APART * floor
-    if verdict != "unexplained" or known > BEYOND * floor or not far:
+    if verdict != Verdict.UNEXPLAINED or known > BEYOND * floor or not far:
         return []
     return [
         f"the recordings of the fit are explained to {known:.3g} {errors.unit}, about the error of"
@@ -253,12 +253,12 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
         )
     if d.doubted:
         return only_in_the_fit(d.joint, d.doubted[0][0])
-    if d.kind == "missing":
+    if d.kind == Verdict.MISSING:
         rest = _beside(d)
         told = rest > OF_STATE and d.after.low > OF_STATE
         what = f"beside what was found, {_torque(d, rest, given)} stays unexplained"
         return f"Joint {d.joint}: {what}" if told else ""
-    if d.kind != "unexplained":
+    if d.kind != Verdict.UNEXPLAINED:
         return ""
     if d.state.size > OF_STATE:
         return (

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.absorbed import point_of
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, SURE, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import discrepancy
@@ -78,7 +79,7 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
         {effect: 1.0},
     )
     there = replace(
-        decision, kind="missing", final=own, after=after, bare=after, alone=own, loads=()
+        decision, kind=Verdict.MISSING, final=own, after=after, bare=after, alone=own, loads=()
     )
     return OtherLoad(finding, there)
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import dark
+from zendsp.diagnosis.decide.contract import Verdict, dark
 from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
@@ -164,8 +164,10 @@ def _without_rival(
     decisions: Sequence[Decision],
     seed: int,
 ) -> Next | None:
-    again = [d.joint for d in decisions if d.kind == "unexplained"]
-    unseen = dark((d.joint, (d.after.low, d.after.high)) for d in decisions if d.kind == "complete")
+    again = [d.joint for d in decisions if d.kind == Verdict.UNEXPLAINED]
+    unseen = dark(
+        (d.joint, (d.after.low, d.after.high)) for d in decisions if d.kind == Verdict.COMPLETE
+    )
     lawless = [f.joint for f in findings if f.effect == "unknown"]
     joint = next(iter(lawless if findings else (*again, *unseen)), 0)
     if joint:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pieces import dry_torque
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
@@ -83,7 +84,7 @@ def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     both = everywhere(here, each, out.final.model, joint)
     if not comes_and_goes(both, parts) or by_own_numbers(out, parts, jobs, both.recordings):
         return None
-    return replace(out, kind="disturbance", bursts=both)
+    return replace(out, kind=Verdict.DISTURBANCE, bursts=both)
 
 
 def pushed_beside(
@@ -164,7 +165,7 @@ def felt(out: Decision, parts: Parts, turning: bool) -> Bursts | None:
     """The push that is too small for a finding, where nothing is claimed; it is noted."""
     model, joint = out.base.model, out.joint
     lacks = max(out.before.value, discrepancy(parts.fit, model, joint).value)
-    if out.kind == "disturbance" or beyond(lacks, out.known.all) < FELT:
+    if out.kind == Verdict.DISTURBANCE or beyond(lacks, out.known.all) < FELT:
         return None
     found = in_held(parts, model, joint, OFTEN) or in_fit(parts, model, joint)
     if found is None:
@@ -203,13 +204,13 @@ def unpushed(decision: Decision) -> Decision:
     """The decision without its disturbance. Beside an unseen swinging load at another joint, a
     torque that comes and goes may depend on that load's state.
     """
-    if decision.kind != "disturbance":
+    if decision.kind != Verdict.DISTURBANCE:
         return replace(decision, bursts=None)
     lacks = beyond(decision.before.value, decision.known.all)
     surely = lacks > MACHINE and decision.before.low > 0.0
     return replace(
         decision,
-        kind="unexplained" if surely else "complete",
+        kind=Verdict.UNEXPLAINED if surely else Verdict.COMPLETE,
         bursts=None,
         final=decision.base,
         after=decision.before,

@@ -343,7 +343,7 @@ class Diagnosis:
         near = nearest(self.verdict, self.rejected)
         text = verdict_sentence(self.verdict, found, unseen, left, near, self.doubted)
         off = table.given > OFF * table.calibrated
-        if self.verdict == "complete" and not unseen and off:
+        if self.verdict == Verdict.COMPLETE and not unseen and off:
             times = two_digits(table.given / table.calibrated)
             text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
         return f"So far, ended by Ctrl-C: {text}" if self.stopped else text
@@ -455,7 +455,7 @@ class Diagnosis:
             f"  {100 * share:.2g} % of the torque of joint {joint} has no name: more is left than"
             " the error of the sensor"
             for joint, share in nameless(shares, own.test.improved, own.noise_floor)
-            if self.verdict == "complete"
+            if self.verdict == Verdict.COMPLETE
         ]
         lines += [
             f"  untouched{e.of}: given {e.test.given:.3g}, calibrated"

@@ -190,15 +190,16 @@ def _diagnose(
     rejected = _rejected(hunt, steps[0][0].gain if steps else 0.0, names)
     doubted = () if findings or unexplained else contradicted(rejected)
     unexplained = unexplained or "\n".join(only_in_the_fit(j, e) for e, j in doubted)
-    verdict: Verdict = "missing" if findings else "unexplained" if unexplained else "complete"
+    silent = Verdict.UNEXPLAINED if unexplained else Verdict.COMPLETE
+    verdict = Verdict.MISSING if findings else silent
     places, spans, at = located(before)
     calibrated, improved = _noted(base.fit), _noted(current.fit)
     return Diagnosis(
         verdict=verdict,
         findings=findings,
-        regions=places if verdict != "complete" else (),
-        times=spans if verdict != "complete" else (),
-        times_of=at if verdict != "complete" else (),
+        regions=places if verdict != Verdict.COMPLETE else (),
+        times=spans if verdict != Verdict.COMPLETE else (),
+        times_of=at if verdict != Verdict.COMPLETE else (),
         unit=train[0].unit,
         estimation=FitTable(
             _rms(train, model), _rms(train, base.model), _rms(train, current.model)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.sampling import whole_second
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, SimulatorErrors, Workings
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import VARIABLES, energy, shares
@@ -326,7 +327,7 @@ def _charts(d: Diagnosis) -> list[Chart]:
     if not isinstance(w, Workings):  # of a black-box simulator
         return simulator_charts(d, w)
     laws = [finding_chart(d, w, f, k) for k, f in enumerate(d.findings)]
-    told = {c.joint for c in laws} or {x.joint for x in w.decisions if x.kind != "complete"}
+    told = {c.joint for c in laws} or {x.joint for x in w.decisions if x.kind != Verdict.COMPLETE}
     joints = (sorted(told | {r.joint for r in d.regions[:1]}) or [1])[:MOST_JOINTS]
     out = [error_chart(d, w, j) for j in joints]
     out += laws

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from zendsp.diagnosis.data.sampling import whole_second
-from zendsp.diagnosis.decide.contract import dark, spans
+from zendsp.diagnosis.decide.contract import Verdict, dark, spans
 from zendsp.diagnosis.decide.headline import word_of
 from zendsp.diagnosis.decide.result import Diagnosis, Errors, Finding, number
 from zendsp.diagnosis.report.chart import Chart
@@ -46,7 +46,7 @@ def page(d: Diagnosis, figures: list[tuple[Chart, Path]]) -> str:
     ----------
     figures : list of (chart, path of its picture)
     """
-    shows = "fit" if d.verdict == "complete" else "where"  # of the first picture
+    shows = "fit" if d.verdict == Verdict.COMPLETE else "where"  # of the first picture
     order = [f for section in ("law", shows, "fit") for f in figures if f[0].section == section]
     first = next(iter(order), None)
     rest = [f for f in figures if f is not first]
@@ -167,7 +167,7 @@ def _fit_of(e: Errors) -> str:
 def _colour(d: Diagnosis) -> str:
     """The style of the verdict; a complete model with unseen joints gets that of "cannot tell"."""
     unseen = dark((x.joint, x.interval) for x in d.discrepancy)
-    return "unexplained" if d.verdict == "complete" and unseen else d.verdict
+    return Verdict.UNEXPLAINED if d.verdict == Verdict.COMPLETE and unseen else d.verdict
 
 
 def _findings_table(findings: Sequence[Finding]) -> str:
@@ -193,7 +193,7 @@ def _percent(share: float) -> str:
 def _where(d: Diagnosis, *, pictured: bool = False) -> str:
     doubt = FEW_PASSES if pictured else ""
     if not d.regions and not d.times:
-        if d.verdict == "complete":
+        if d.verdict == Verdict.COMPLETE:
             return f"<p>{UNTOLD if d.doubted else NOWHERE}</p>"
         return f"<p>{NO_INTERVAL} Nor does any interval of time.{doubt}</p>"
     rows = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zendsp.diagnosis.decide.contract import spans
+from zendsp.diagnosis.decide.contract import Verdict, spans
 from zendsp.diagnosis.decide.headline import SMALLEST_SHARE, percent
 from zendsp_protocol.texts import counted
 
@@ -54,7 +54,7 @@ def summary(d: Diagnosis) -> str:
             + (f", and {more} more" if more > 0 else "")
         )
     for x in d.discrepancy[:7]:
-        if d.verdict != "complete" or x.interval[1] < 1.0:
+        if d.verdict != Verdict.COMPLETE or x.interval[1] < 1.0:
             left = unnamed(x.share, x.interval[1])
             lines.append(f"nothing named explains: joint {x.joint}, {left}")
     if d.detectable:

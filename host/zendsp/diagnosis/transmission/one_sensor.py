@@ -77,7 +77,8 @@ def shown(parts: Parts, model: Model, decisions: Sequence[Decision]) -> list[Dec
         stiff = [c for c in decision.claims if hidden(c, decision)]
         keep = tuple(c for c in decision.claims if not any(c is s for s in stiff))
         if stiff and not keep:
-            kind: Verdict = "complete" if decision.before.value < MACHINE else "unexplained"
+            little = decision.before.value < MACHINE
+            kind = Verdict.COMPLETE if little else Verdict.UNEXPLAINED
             decision = replace(decision, kind=kind)
         out.append(replace(decision, claims=keep, refinements=(*decision.refinements, *stiff)))
     return out
