@@ -268,10 +268,9 @@ class LinkPort:
         self.target.acquire_configure(shot.channels, shot.seconds, shot.decimation, _trigger(shot))
         self.target.acquire_start()
 
-    def progress(self) -> tuple[str, float]:
-        """Return the recorder's state and the share done."""
-        s = self.target.acquire_status()
-        return s.state, min(1.0, (s.count - s.first) / s.wanted) if s.wanted else 0.0
+    def recorded(self) -> bool:
+        """Whether the recorder has ended."""
+        return self.target.acquire_status().state not in RECORDING
 
     def end_acquisition(self) -> None:
         """Stop the recorder; what it holds stays."""

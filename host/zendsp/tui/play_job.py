@@ -204,8 +204,7 @@ class PlayJob(Job[Run | None]):
     def _wait_acquired(self, port: Port) -> None:
         deadline = time.monotonic() + 5.0
         while time.monotonic() < deadline:
-            state, _ = port.progress()
-            if state in ("done", "idle"):
+            if port.recorded():
                 return
             time.sleep(LOOK_S)
         port.end_acquisition()
