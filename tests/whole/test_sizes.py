@@ -118,6 +118,19 @@ def test_a_line_of_c_has_at_most_100_columns() -> None:
     assert len(sources) > 50 and long == []
 
 
+def test_a_line_of_a_page_has_at_most_100_columns() -> None:
+    # tables aside, and what is typed or printed: fenced, or set in by four columns
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    long = []
+    for page in pages:
+        fenced = False
+        for number, line in enumerate(page.read_text().splitlines(), 1):
+            fenced ^= line.lstrip().startswith("```")
+            if len(line) > COLUMNS and not fenced and not line.startswith(("|", "    ")):
+                long.append(f"{page.relative_to(ROOT)}:{number}")
+    assert len(pages) > 30 and long == []
+
+
 def test_a_name_of_the_diagnosis_is_one_number() -> None:
     # who reads `SURE` in one file must not think of the `SURE` of another
     found: dict[str, dict[str, str]] = {}
