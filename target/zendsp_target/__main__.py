@@ -58,12 +58,12 @@ DROPPED = (
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        """One line, as of every other error."""
+        """Exit with the message in one line, as for every other error."""
         self.exit(2, f"zendsp target: {message}; '{self.prog} --help' lists the options\n")
 
 
 def number(text: str) -> float:
-    """A number of the command line."""
+    """Return the number that an option gives."""
     try:
         return float(text)
     except ValueError:
@@ -71,14 +71,16 @@ def number(text: str) -> float:
 
 
 def machine_option(text: str) -> str:
-    """KEY=VALUE; a decimal comma would be read as far as the comma."""
+    """Return an option ``KEY=VALUE``. A decimal comma is refused: the machine would read the number
+    only as far as the comma.
+    """
     if point := number_hint(text.partition("=")[2]):
         raise argparse.ArgumentTypeError(f"{text!r} is no number{point}")
     return text
 
 
 def parser() -> argparse.ArgumentParser:
-    """Command line of the target."""
+    """Return the parser of the target's command line."""
     p = _Parser(
         prog="python -m zendsp_target",
         allow_abbrev=False,
@@ -188,8 +190,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _take_files() -> None:
-    """Raise the limit of open files to what the system allows: every connection takes one, also
-    one that is refused.
+    """Raise the limit of open files to what the system allows. Every connection takes one, even one
+    that is refused.
     """
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     with contextlib.suppress(OSError, ValueError):
@@ -197,7 +199,9 @@ def _take_files() -> None:
 
 
 def _need_memory() -> None:
-    """Refuse too little memory, in which NumPy's library would search without end."""
+    """Refuse an address space so small that NumPy's linear algebra library would retry its
+    allocation for ever.
+    """
     most = resource.getrlimit(resource.RLIMIT_AS)[0]
     if 0 <= most < LEAST_MEMORY:
         raise MemoryError(f"{most >> 20} MB of addresses, it needs {LEAST_MEMORY >> 20} MB")
@@ -205,7 +209,7 @@ def _need_memory() -> None:
 
 @contextlib.contextmanager
 def _patience(text: str) -> Iterator[None]:
-    """Print what takes so long, where something does."""
+    """Print the text if the block takes longer than `PATIENCE_S`."""
     told = threading.Timer(PATIENCE_S, print, (text,), {"file": sys.stderr, "flush": True})
     told.daemon = True
     told.start()
@@ -240,8 +244,8 @@ def _runtime(args: argparse.Namespace) -> Runtime:
 def _monitor(
     args: argparse.Namespace, name: str, listen: Sequence[str], security: Security
 ) -> tuple[Runtime, Monitor, Asked]:
-    """Bring everything up; a second and a half on a computer with nothing else to do, and more for
-    a machine that has to be compiled.
+    """Start runtime and server, and return the monitor. It takes one and a half seconds on an idle
+    computer, more where the machine has to be compiled.
     """
     _need_memory()
     from zendsp_target.monitor import Monitor, Options, asked_to_end
@@ -290,11 +294,10 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
 
 
 def leave(status: int) -> NoReturn:
-    """End the process without the shutdown of the interpreter.
+    """End the process without shutting the interpreter down; everything is closed by now.
 
-    Everything is closed by now. A thread that is just returning from Zenoh's compiled code while
-    the interpreter goes would abort the process ("exception not rethrown") and make a clean end
-    look like a crash.
+    A thread that returns from Zenoh's compiled code during that shutdown would abort the process
+    ("exception not rethrown"), and a clean end would look like a crash.
     """
     sys.stdout.flush()
     sys.stderr.flush()

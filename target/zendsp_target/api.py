@@ -1,9 +1,9 @@
-"""What the monitor may ask of the real-time side: the seam between the network and the loop.
+"""What the monitor may ask of the real-time side: the interface between the network and the loop.
 
-What it answers with are messages of the protocol, in which arrays are still arrays.
-``zendsp_target.runtime.Runtime`` implements it on shared memory and a native runner process; the
-Zenoh server calls it and knows nothing of either. Every call is quick (the slow ones say so) and
-safe from any thread. Errors are those of ``zendsp_protocol.errors``.
+Answers are messages of the protocol, in which arrays are still NumPy arrays.
+``zendsp_target.runtime.Runtime`` implements it with shared memory and a native runner process; the
+Zenoh server calls it and knows neither. Calls return quickly, or their docstring says that they do
+not, and are safe from any thread. Errors are those of ``zendsp_protocol.errors``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ class AcquireConfig:
 
 @dataclass(frozen=True)
 class Blank:
-    """A message in which only numbers change, of eight bytes each, the most significant first."""
+    """An encoded reply in which only numbers change: where they stand, of eight bytes each, the
+    most significant first.
+    """
 
     data: bytes | bytearray
     count: int = -1  # where the tick or the sequence number of a reply goes

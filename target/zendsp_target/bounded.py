@@ -11,7 +11,7 @@ Plan = TypeVar("Plan")
 
 
 def keep(plans: dict[Key, Plan], names: Key, plan: Plan) -> Plan:
-    """Remember a plan, and not too many."""
+    """Remember a plan under its names, and drop others once there are too many."""
     if len(plans) >= _KEPT:
         plans.clear()
     plans[names] = plan

@@ -28,7 +28,7 @@ Asked: TypeAlias = "queue.SimpleQueue[int]"
 
 @dataclass(frozen=True)
 class Options:
-    """How a target presents itself."""
+    """The name of a target, where it listens, and who may come in."""
 
     name: str
     machine: str
@@ -39,8 +39,10 @@ class Options:
 
 
 def asked_to_end() -> Asked:
-    """Signals that ask for the end, from now on. A target that begins notes them: one that ended at
-    once would leave its socket.
+    """Return a queue that takes the signals to end the process, from now on.
+
+    A signal that comes while the target starts is thus only noted: a process that ended at once
+    would leave its socket behind.
     """
     # no threading.Event: its lock may be held by what the signal interrupts, for ever then
     asked: Asked = queue.SimpleQueue()
@@ -85,8 +87,8 @@ class Monitor:
         self._runtime.close()
 
     def run(self, asked: Asked, parent: int, ready: Callable[[], None]) -> None:
-        """Serve until it is ``asked`` to end, or until the process ``parent``, unless it is 0, is
-        no longer this one's parent; ``ready`` is called first.
+        """Serve until a signal is in ``asked``, or until the process ``parent`` (0: none) is no
+        longer the parent of this one; ``ready`` is called first.
         """
         try:
             ready()
@@ -121,5 +123,5 @@ def _open(options: Options, doors: Doors) -> tuple[Any, list[str]]:
 
 
 def _reason(error: Exception) -> str:
-    """Zenoh's own sentence without the places in its source."""
+    """The sentence of an error of Zenoh, without the places in Zenoh's source."""
     return str(error).partition(" at /")[0].strip()

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def start_thread(name: str, work: Callable[[], None]) -> threading.Thread:
-    """Return a thread that has begun.
+    """Start a thread and return it.
 
     Raises
     ------

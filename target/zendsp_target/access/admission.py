@@ -66,19 +66,19 @@ class Doors:
 
     @property
     def sentence(self) -> str:
-        """Who is let in by name, and what for; empty where nobody is."""
+        """Who is let in by name, and with which role, in a sentence; empty where nobody is."""
         who = ", ".join(f"{name} ({self.role_of(name)})" for name in self.named)
         return f"lets in: {who}" if who else ""
 
     def role_of(self, user: str) -> str:
-        """The role of a user whom the access control let in, empty where there is none."""
+        """The role of a user whom the access control let in, empty where the user has none."""
         if not user or user == OWNER or self.roles is None:
             return ROLES[-1]
         return self.roles.get(user, "")
 
     def check_upload(self, user: str) -> None:
-        """Refuse to compile the code of others where the kernel cannot keep the compiler from files
-        of the target's user.
+        """Refuse to compile source of other users where the kernel cannot keep the compiler from
+        reading files of the target's user.
 
         Parameters
         ----------
@@ -104,15 +104,14 @@ class Doors:
 
 
 def may(role: str, verb: Verb) -> bool:
-    """Whether a role includes a verb; an empty one includes what is open to everyone who was let
-    in.
+    """Whether a role includes a verb. An empty role includes the verbs that are open to everyone.
     """
     return verb.name in OPEN or (role in ROLES and ROLES.index(role) >= ROLES.index(verb.role))
 
 
 def check_role(user: str, role: str, verb: Verb) -> None:
-    """Refuse what a user's role does not include; STOP, and seeing that it stopped, is open to
-    everyone who was let in.
+    """Refuse a verb that a user's role does not include. STOP, and seeing that it stopped, are open
+    to everyone who was let in.
 
     Raises
     ------
@@ -128,7 +127,8 @@ def check_role(user: str, role: str, verb: Verb) -> None:
 
 
 def own_socket(name: str) -> str:
-    """The endpoint that only this user can open, a loopback port where its path would be too long.
+    """The endpoint that only this user can open: a socket, or a loopback port where the socket's
+    path would be too long.
     """
     path = Path(registry.folder()).absolute() / registry.socket_name(name)
     return (
@@ -141,7 +141,7 @@ def _protocol(endpoint: str) -> str:
 
 
 def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: Security) -> Doors:
-    """Check everything that decides who may come in.
+    """Return where the target listens and who may come in, after all checks.
 
     Parameters
     ----------
@@ -201,7 +201,8 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
 
 
 def _check_files(security: Security) -> None:
-    """Refuse files that cannot be read, keys that others may read, and what has ended."""
+    """Refuse certificate files that cannot be read or have expired, and a key that others may read.
+    """
     for option, file in (
         ("cert", security.certificate),
         ("key", security.key),
@@ -226,7 +227,9 @@ def _check_files(security: Security) -> None:
 def _check_router(
     endpoints: Sequence[str], connect: Sequence[str], users: Collection[str], roles: object
 ) -> None:
-    """Refuse what a router beside the target's own doors would make void."""
+    """Refuse passwords and roles where they would not hold, because hosts may come through a
+    router.
+    """
     both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
     if both and users:
         raise Refused(
@@ -276,7 +279,9 @@ class _Rules:
         there: str,
         told: Sequence[str],
     ) -> None:
-        """Let in somebody: what may be asked, where it may show that it is there, what it hears."""
+        """Let in a subject. ``asked``: keys that it may query; ``there``: where it may show that it
+        is present; ``told``: keys that are published to it.
+        """
         rights = [
             self._rule(f"ask {number}", "ingress", ("query",), (keys.info(), *asked)),
             self._rule(f"show {number}", "ingress", ("liveliness_token",), (there,)),
@@ -289,10 +294,10 @@ class _Rules:
 def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict[str, object]:
     """Zenoh's access control for the session of a target.
 
-    Hosts may ask, listen, and show that they are there; whatever else comes from them is dropped. A
-    host that is known by name may ask, be there, and hear live rows under that name only. Without
-    this, a client could answer for the target, publish false rows to the other hosts, and go on
-    reading when its role is taken away.
+    Hosts may send requests, subscribe, and show that they are present. Everything else that they
+    send is dropped. A host that is known by name may do so, and receive live rows, under that name
+    only. Without these rules a client could answer in place of the target, publish false rows to
+    other hosts, or go on reading after its role was taken away.
 
     Parameters
     ----------

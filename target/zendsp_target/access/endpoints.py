@@ -1,4 +1,4 @@
-"""Where the target listens, and on what condition; and the Zenoh settings that follow.
+"""Where the target listens and under which conditions, and the Zenoh settings that follow.
 
 Loopback is for this computer; anything else needs TLS and a way to tell who connects. Who may come
 in is `admission`'s.
@@ -59,7 +59,7 @@ class Security:
 
 
 def is_local(endpoint: str) -> bool:
-    """Tell whether only this machine can reach ``endpoint``."""
+    """Whether only this computer can reach ``endpoint``."""
     scheme, _, rest = endpoint.partition("/")
     if scheme == "unixsock-stream":
         return True
@@ -103,8 +103,8 @@ def check(endpoints: Sequence[str], security: Security) -> None:
 
 
 def check_connect(endpoints: Sequence[str], security: Security) -> None:
-    """Refuse routers elsewhere that the target could not tell from an impostor: whoever is behind
-    one can command it.
+    """Refuse routers on other computers that the target could not tell from an impostor: who
+    answers in a router's place could command the target.
 
     Raises
     ------
@@ -122,7 +122,9 @@ def check_connect(endpoints: Sequence[str], security: Security) -> None:
 
 
 def with_free_ports(endpoints: Sequence[str]) -> list[str]:
-    """Replace port 0 by a port that is free now, since Zenoh does not tell which one it took."""
+    """The endpoints, with a port that is free now in place of port 0: Zenoh does not say which one
+    it would take.
+    """
     chosen = []
     for endpoint in endpoints:
         address, colon, port = endpoint.rpartition(":")

@@ -1,4 +1,6 @@
-"""The connected hosts by the link's own liveliness: a killed host is gone within the lease."""
+"""The connected hosts, by Zenoh's liveliness tokens: a host that was killed is gone within the
+lease.
+"""
 
 from __future__ import annotations
 
@@ -43,9 +45,11 @@ class Hosts:
         return sum(host.partition("@")[0] == user for host in self._present)
 
     def ask_routers(self, end: threading.Event) -> None:
-        """Ask, until the ``end``, which hosts there are. A router that does not answer within our
-        own lease hides that a host is lost, for as long as its own: the hosts of other computers
-        are lost then, and are back when it answers.
+        """Ask the routers for their hosts again and again, until the ``end``.
+
+        Behind a router that does not answer within the target's own lease, a lost host would stay
+        unnoticed for the router's longer lease. So all hosts of other computers then count as lost;
+        they are back once the router answers.
         """
         while not end.wait(LOOK_S):
             try:
@@ -84,7 +88,7 @@ class Hosts:
 
 
 def _runs_here(host: str) -> bool:
-    """Whether a host is a process of this computer, by its name, and goes on."""
+    """Whether a host is, by its name, a process of this computer that still runs."""
     machine, _, process = host.partition("@")[2].rpartition(":")
     try:
         state = Path(f"/proc/{int(process.partition('.')[0])}/stat").read_text(errors="replace")

@@ -1,9 +1,9 @@
-"""Keeps a host that freezes with rows on their way (a laptop with a closed lid) from delaying
-others.
+"""Keeps a host that freezes while rows are sent to it (a laptop whose lid is closed) from delaying
+other hosts.
 
-Zenoh closes its link when the lease is over, and asks the system to wait up to ten seconds for what
-was not sent (SO_LINGER): a thread that serves all hosts then stands still, and STOP of the others
-with it.
+When the lease is over, Zenoh closes the link and has the system wait up to ten seconds for unsent
+bytes (SO_LINGER). A thread that serves all hosts would stand still for that time, and a STOP of
+another host would wait for it.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ _OFF = struct.pack("ii", 0, 0)
 
 
 def close_at_once() -> None:
-    """Let closing any TCP connection of this process return at once; what was not sent is the
-    system's. Nothing is done while no file is left to look with.
+    """Let the close of any TCP connection of this process return at once; the system sends the
+    rest. It does nothing where the process has no file descriptor left to look with.
     """
     names: list[str] = []
     with contextlib.suppress(OSError):

@@ -22,7 +22,7 @@ OWNER = "owner"  # name that goes with the token of a loopback port
 
 
 def check_secret(option: str, path: str) -> None:
-    """Refuse a file of secrets that others may read or write; a group may read it.
+    """Refuse a file of secrets that everyone may read or write; its group may read it.
 
     Raises
     ------
@@ -37,7 +37,8 @@ def check_secret(option: str, path: str) -> None:
 
 
 def _text(path: str) -> str:
-    """The text of a regular file; a pipe, or a device, would never end."""
+    """The text of a regular file. A pipe or a device is refused, since reading it might never end.
+    """
     if not stat.S_ISREG(os.stat(path).st_mode):
         raise OSError("it is a pipe, a device or a folder; expected a regular file")
     return Path(path).read_text(encoding="utf-8")
@@ -86,8 +87,8 @@ def read_users(path: str) -> dict[str, str]:
 
 
 def read_roles(path: str) -> dict[str, str]:
-    """Roles by name of user or certificate, from a TOML file with a table ``[roles]``; those whom
-    `zendsp keys revoke` took theirs stand in a table ``[revoked]``.
+    """Roles by name of user or certificate, from a TOML file with a table ``[roles]``. Users whom
+    `zendsp keys revoke` revoked stand in a table ``[revoked]``.
 
     Raises
     ------
@@ -136,10 +137,11 @@ def read_roles(path: str) -> dict[str, str]:
 
 
 class RolesFile(Mapping[str, str]):
-    """The roles of a file as it is now: one that is taken away is gone with the next request.
+    """The roles of a file as it is now: a role that is taken out of it is gone with the next
+    request.
 
-    A file that is damaged later gives nobody a role. The names that the target lets in are those of
-    its start.
+    While the file is damaged nobody has a role. Names that were not in it when the target started
+    are not let in.
 
     Raises
     ------

@@ -17,8 +17,8 @@ from zendsp_protocol.version import PROTOCOL
 
 
 def own_folder() -> Path:
-    """The folder of the entries, made where it is not there; it belongs to this user, and nobody
-    else can look into it.
+    """The folder of the entries, made where it is missing. It belongs to this user and nobody else
+    can look into it.
 
     Raises
     ------
@@ -42,8 +42,8 @@ def own_folder() -> Path:
 
 @contextmanager
 def users_file(name: str, users: Mapping[str, str]) -> Iterator[str]:
-    """A file of users and passwords while Zenoh reads it, which only this user can read; an empty
-    name without users.
+    """The path of a file of users and passwords that exists while Zenoh reads it and that only this
+    user can read; an empty path without users.
     """
     if not users:
         yield ""
@@ -61,7 +61,8 @@ def users_file(name: str, users: Mapping[str, str]) -> Iterator[str]:
 
 
 class Registration:
-    """The entry of this process; only this user may read the folder.
+    """The entry of this process, by which hosts of this computer find it; only this user may read
+    it.
 
     Raises
     ------
@@ -99,15 +100,15 @@ class Registration:
             raise Refused(f"{self._path}: cannot be written: {error.strerror}") from error
 
     def keep(self) -> None:
-        """Write it again where it was removed: with its folder at the end of a login, for example.
-        Without it no STOP of this computer would find the target.
+        """Write the entry again where it was removed, for example with its folder at the end of a
+        login. Without it no STOP from this computer would find the target.
         """
         if not self._path.exists():
             with contextlib.suppress(OSError, Refused):
                 self._write()
 
     def remove(self) -> None:
-        """Remove it if it is still this process's own."""
+        """Remove the entry if it is still that of this process."""
         with contextlib.suppress(OSError, msgspec.MsgspecError):
             found = msgspec.json.decode(self._path.read_bytes(), type=registry.Entry)
             if found.pid == os.getpid():

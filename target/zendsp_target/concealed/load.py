@@ -80,13 +80,15 @@ def _from_file(path: Path, machine: str) -> Concealed:
 
 
 def _only(table: Mapping[str, Any], allowed: Collection[str], where: str) -> None:
-    """Refuse keys that nobody would read."""
+    """Refuse keys that would not be read."""
     if said := unknown_keys(table, allowed, where):
         raise Refused(said)
 
 
 def _number(where: str, key: str, value: Any) -> float:
-    """A number, or a table { value = … } as in model files, or the name of a coupling's law."""
+    """The value of a key: a number, a table { value = … } as in model files, or the name of a
+    coupling's law.
+    """
     if isinstance(value, dict) and "value" in value:
         _only(value, ("value", "free", "unit", "std"), f"{where}: {key}")
         value = value["value"]

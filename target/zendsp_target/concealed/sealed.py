@@ -139,7 +139,7 @@ class Concealed:
             raise Refused(f"concealed: friction is {self.friction!r}; expected 'full' or 'plain'")
 
     def config(self) -> dict[str, str]:
-        """Settings for the machine, for the target's process only."""
+        """Settings for the machine; they stay in the target's process."""
         lines = {f"effect{i}": effect.line() for i, effect in enumerate(self.effects, start=1)}
         return {"friction": self.friction, **lines}
 
@@ -155,5 +155,7 @@ class Concealed:
         return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
     def seal(self) -> str:
-        """SHA-256 of the record, hexadecimal: may be told at any time."""
+        """SHA-256 of the record, hexadecimal. It may be told at any time, since the effects cannot
+        be found from it.
+        """
         return hashlib.sha256(self.record_text().encode()).hexdigest()

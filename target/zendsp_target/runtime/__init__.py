@@ -1,5 +1,5 @@
-"""The real-time side: a native runner, the memory that is shared with it, and what is written to
-and read from it. `zendsp_target.api` is all that the network may ask of it.
+"""The real-time side: a native runner, the memory shared with it, and what is written to and read
+from that memory. The network side uses it through `zendsp_target.api` only.
 """
 
 from zendsp_target.runtime.runtime import Runtime, program_text

@@ -1,5 +1,5 @@
-"""Acquisition streams: a file of rows each, filled by the loop in constant time, read here without
-disturbing it.
+"""Acquisition streams: each is a file of rows that the loop fills in constant time and that is read
+here without disturbing the loop.
 
 A stream's file outlives the runner: what was acquired before a crash, a stop or a new load stays
 loadable until the stream is configured again.
@@ -74,8 +74,8 @@ class _Plan:
 def _expand(
     dictionary: Dictionary, names: tuple[str, ...], most: int
 ) -> tuple[list[tuple[int, int]], list[str], list[str]]:
-    """Channels of the names: an array stands for all of its elements; of too many, some are left
-    out.
+    """Channels of the names: an array stands for all of its elements. Of more than ``most``
+    channels the last are left out.
     """
     sources: list[tuple[int, int]] = []
     labels: list[str] = []
@@ -153,7 +153,7 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
 def create(
     path: Path, dictionary: Dictionary, config: AcquireConfig, rate_hz: float, free_bytes: int
 ) -> Stream:
-    """Make the file of a stream.
+    """Make the file of a stream and return the stream.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool])
 
 
 def request(stream: Stream, word: str, alive: Callable[[], bool]) -> None:
-    """Arm, disarm or force a stream, and wait until the loop has."""
+    """Arm, disarm or force a stream, and wait until the loop has done it."""
     ffi, lib = layout()
     with stream.lock:
         address = ffi.addressof(stream.head[0], word)
@@ -262,7 +262,8 @@ def _until(done: Callable[[], bool], alive: Callable[[], bool], limit: float = _
 
 
 def note_of(stream: Stream, about: About) -> Kept:
-    """What to leave beside the rows, for the case that this process is killed."""
+    """The note to leave beside the rows, from which they can be salvaged if this process is killed.
+    """
     ffi, _ = layout()
     at = {
         word: ffi.offsetof("stream_head", word)
@@ -279,7 +280,7 @@ def note_of(stream: Stream, about: About) -> Kept:
 
 
 def status(stream: Stream, alive: bool) -> AcquireStatus:
-    """Where a stream stands.
+    """The state of a stream and its counts of rows.
 
     Parameters
     ----------
@@ -306,7 +307,9 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
 
 
 def _gaps(head: Any, first: int) -> tuple[tuple[int, int], ...]:
-    """Where rows are missing, as far as the rows from ``first`` on are concerned."""
+    """Where rows are missing, each as the row after the gap and the number of missing rows; of the
+    gaps up to row ``first`` only the last.
+    """
     ffi, lib = layout()
     count, held = int(lib.monitor_load64(ffi.addressof(head[0], "gaps"))), len(head.gap)
     newest = (head.gap[n % held] for n in range(max(0, count - held), count))
@@ -316,7 +319,7 @@ def _gaps(head: Any, first: int) -> tuple[tuple[int, int], ...]:
 
 
 def held(stream: Stream, alive: bool) -> Held:
-    """Where the rows of a stream stand, and which of them are there.
+    """The file in which the rows of a stream are, and which rows it holds.
 
     Parameters
     ----------
@@ -338,7 +341,7 @@ def read(
     into: npt.NDArray[np.float64] | None = None,
     fold: bytearray | None = None,
 ) -> npt.NDArray[np.float64]:
-    """Copy rows.
+    """Return a copy of rows.
 
     Parameters
     ----------

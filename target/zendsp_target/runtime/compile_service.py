@@ -29,7 +29,7 @@ _NEEDED = ("zendsp_isr_abi", "UserInit", "UserISR_INT2")
 
 
 def check_sources(sources: Mapping[str, str], flags: Sequence[str]) -> None:
-    """Refuse names and flags that reach outside the program.
+    """Refuse file names and compiler flags that reach outside the program.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def check_sources(sources: Mapping[str, str], flags: Sequence[str]) -> None:
 
 
 def _load_problem(path: Path) -> str:
-    """What the program lacks; "" when all is there. It is read, not loaded: its constructors would
-    run here.
+    """Why the compiled program could not be loaded, in a sentence; "" where it could. The file is
+    read but not loaded: loading it would run its constructors here.
     """
     try:
         with path.open("rb") as file:
@@ -89,7 +89,8 @@ def _load_problem(path: Path) -> str:
 def compile_program(
     sources: Mapping[str, str], flags: Sequence[str] = (), timeout_s: float = 30.0
 ) -> CompileResult:
-    """Compile a program, or take it from the cache.
+    """Compile a program, or take it from the cache, and return the result with the compiler's
+    messages.
 
     Parameters
     ----------
@@ -132,8 +133,8 @@ def compile_program(
 
 
 def _own(file: str) -> str:
-    """The user's name of a file: the compiler runs where the sources stand, so theirs are plain
-    names, or ``./name``.
+    """The user's name of a file. The compiler runs in the folder of the sources, so their names are
+    plain or begin with ``./``.
     """
     return os.path.normpath(file) if file else ""
 
@@ -145,8 +146,8 @@ def _result(built: Built, ok: bool, diagnostics: list[Diagnostic]) -> CompileRes
 
 
 def check_memory(program: Path, allowed_mb: float) -> None:
-    """Refuse a program whose own variables take more than user code may: the limit of the process
-    does not count them (the kernel maps them in place of what was counted as none).
+    """Refuse a program whose own variables take more memory than user code may. The kernel maps
+    them without counting them against the limit of the process.
 
     Raises
     ------

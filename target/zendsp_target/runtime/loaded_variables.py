@@ -35,8 +35,8 @@ class LoadedVariables:
         return self._programs.loaded().dictionary.infos(VariableKind.BUILTIN)
 
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
-        """Values of variables, elements and built-ins, all from one sample, and its tick; of none
-        before that of a latched trip.
+        """Values of variables, elements and built-in signals, all from one sample, and that
+        sample's tick. While a trip is latched, no sample before it is read.
 
         Raises
         ------
@@ -49,13 +49,13 @@ class LoadedVariables:
 
     def ended(self) -> str:
         """Why the loaded program no longer runs although nobody paused it, in a sentence; empty
-        where it does or none is loaded.
+        where it runs or none is loaded.
         """
         session = self._programs.session
         return "" if session is None else session.ended()
 
     def check(self, values: Mapping[str, Value], at_tick: int | None = None) -> None:
-        """Raise what :meth:`write` would raise for these values; nothing is written."""
+        """Raise what :meth:`write` would raise for these values, without writing."""
         self._programs.loaded().updates.check(values, at_tick)
 
     def write(
@@ -65,7 +65,7 @@ class LoadedVariables:
         at_tick: int | None = None,
         fade: int = 0,
     ) -> int:
-        """Commit a synchronous update, see `Updates.write`; returns its sequence number."""
+        """Commit a synchronous update and return its sequence number; see `Updates.write`."""
         session = self._programs.session
         if session is None:
             session = self._programs.loaded()
@@ -76,19 +76,23 @@ class LoadedVariables:
             raise
 
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None:
-        """What reads the same doubles again, see `RuntimeApi.repeat_read`; None: nothing does."""
+        """A function that reads the same doubles again, see `RuntimeApi.repeat_read`; None where
+        that cannot be prepared.
+        """
         session = self._programs.session
         return None if session is None else session.repeat_read(names, reply)
 
     def repeat_write(
         self, names: Sequence[str], author: str, request: Blank, reply: Blank
     ) -> Callable[[bytes], int] | None:
-        """What writes the same doubles again, see `RuntimeApi.repeat_write`; None: nothing does."""
+        """A function that writes the same doubles again, see `RuntimeApi.repeat_write`; None where
+        that cannot be prepared.
+        """
         session = self._programs.session
         return None if session is None else session.repeat_write(names, author, request, reply)
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
-        """Sleep until an update has taken effect; returns its sample. See `Flights.wait_applied`.
+        """Wait until an update has taken effect and return its sample; see `Flights.wait_applied`.
         """
         return self._programs.loaded().flights.wait_applied(sequence, timeout)
 

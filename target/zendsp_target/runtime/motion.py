@@ -1,5 +1,5 @@
-"""What moves: start, pause, STOP, drives, homing, limits. Words in shared memory that the loop
-obeys at its next sample.
+"""What moves the machine: start, pause, STOP, drives, homing, limits. Each sets words in shared
+memory that the loop obeys at its next sample.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Motion:
             self._run(session, lib.RUN_ISR, "start")
 
     def _run(self, session: Session, run: int, what: str) -> None:
-        """Let samples begin, and wait until they do, or are over."""
+        """Ask the loop to run samples, and wait until it does or has ended."""
         _, lib = layout()
         before, requested = session.tick, ffi_address(session.control, "run")
         session.request_run(run)
@@ -84,8 +84,8 @@ class Motion:
         )
 
     def pause(self) -> None:
-        """Stop sampling after the present sample: a simulated machine stands still in time,
-        hardware is made safe.
+        """Stop sampling after the present sample. A simulated machine then stands still in time;
+        hardware is brought into its safe state.
         """
         _, lib = layout()
         with self._programs.lock:
@@ -114,8 +114,8 @@ class Motion:
         )
 
     def stop(self, author: str = "") -> None:
-        """STOP: from the next sample on the drives stand still in velocity mode; latched until
-        acknowledged. Never waits.
+        """STOP: from the next sample on the drives stand still in velocity mode. It is latched
+        until acknowledged; the call never waits.
 
         Parameters
         ----------
@@ -142,13 +142,15 @@ class Motion:
             lib.monitor_store32(ffi_address(session.control, "stop"), safety.REQUESTS[reason])
 
     def cancel(self, whose: Callable[[str], bool]) -> None:
-        """Have updates of these authors that wait for a later sample wait no more."""
+        """Cancel the updates of these authors that wait for a later sample."""
         session = self._programs.session
         if session is not None:
             session.flights.cancel(whose)
 
     def attend(self, attended: bool) -> None:
-        """Say whether the machine shall stop where this process cannot see that a host is lost."""
+        """Say whether the loop shall stop the machine if this process hangs, in which case nobody
+        would notice that the host is lost.
+        """
         _, lib = layout()
         session = self._programs.session
         if session is not None:
@@ -157,8 +159,8 @@ class Motion:
     def acknowledge(self, trip: int | None = None) -> None:
         """End a STOP or a trip. The program is paused; nothing moves before the next start.
 
-        Where another cause still stands, the next sample trips again. A joint beyond its position
-        limit may be moved back inside, and no further out.
+        Where another cause is still present, the next sample trips again. A joint beyond its
+        position limit may be moved back inside, but no further out.
 
         Parameters
         ----------
@@ -191,8 +193,8 @@ class Motion:
             session.until(lambda: lib.monitor_load32(answered) == wanted, "acknowledge")
 
     def set_drive(self, mode: DriveMode) -> None:
-        """What the drives shall do; auto, the default: torque at each start. Returns once the loop
-        acts by it.
+        """Set what the drives do, and return once the loop acts by it. ``auto``, the default:
+        torque mode at each start.
         """
         with self._programs.lock:
             if mode in (DriveMode.TORQUE, DriveMode.VELOCITY):
@@ -208,8 +210,8 @@ class Motion:
                     session.settle("set_drive")
 
     def home(self) -> None:
-        """Start the machine's homing, and return once it moves; ``status().homed`` tells when it is
-        done, a trip when it fails.
+        """Start the machine's homing, and return once it moves. ``status().homed`` is true when it
+        is done; a failure trips.
 
         Raises
         ------
@@ -266,7 +268,9 @@ class Motion:
         self._apply({"drive.ramp": seconds})
 
     def set_overrun(self, policy: OverrunPolicy, limit: int = 10) -> None:
-        """What happens when samples take longer than the period; trip: after `limit` in a row."""
+        """Set what happens when samples take longer than the period. Policy ``trip``: trip after
+        `limit` of them in a row.
+        """
         if limit < 1:
             raise Refused(f"overrun limit {limit}: give 1 or more")
         number = safety.OVERRUN_POLICIES[policy]
@@ -277,8 +281,8 @@ class Motion:
         session.flights.wait_applied(session.set_settings(values, "runtime"), 5.0)
 
     def set_inputs(self, bits: int) -> None:
-        """Digital inputs of a simulated machine, one bit each: what a person at its panel would
-        press. Returns once they are read.
+        """Set the digital inputs of a simulated machine, one bit each, as a person at its panel
+        would. Returns once the loop has read them.
         """
         session = self._programs.living()
         if not session.machine.simulated:

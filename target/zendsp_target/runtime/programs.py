@@ -1,5 +1,4 @@
-"""How programs come and go: compile, load, unload; and what stays between them.
-"""
+"""Compiles, loads and unloads programs, and keeps what outlives a load."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ from zendsp_target.runtime.variables.change_log import ChangeLog
 
 
 def make_stop_page(folder: Path) -> SharedFile:
-    """Make the file by which programs of this user stop the loop."""
+    """Make the file through which other programs of this user can stop the loop."""
     ffi, _ = layout()
     file = SharedFile(folder / stop_page.NAME, ffi.sizeof("stop_page"))
     set_up(file)
@@ -34,7 +33,7 @@ def make_stop_page(folder: Path) -> SharedFile:
 
 
 def set_up(file: SharedFile) -> None:
-    """Write the head of a stop page, which user code may have overwritten. A STOP stands."""
+    """Write the head of a stop page, which user code may have overwritten. A STOP in it stays."""
     _, lib = layout()
     head = file.pointer("stop_page")
     head.magic, head.version = lib.LAYOUT_MAGIC, lib.STOP_PAGE_VERSION
@@ -43,7 +42,7 @@ def set_up(file: SharedFile) -> None:
 
 
 class Programs:
-    """How programs come and go on one machine. The parameters are described at `Runtime`.
+    """Compile, load and unload the programs of one machine. `Runtime` describes the parameters.
 
     Attributes
     ----------
@@ -105,7 +104,7 @@ class Programs:
         return compile_program(sources, flags)
 
     def load(self, key: str) -> None:
-        """Start a fresh runner with a compiled program and run its UserInit. An earlier one is
+        """Start a new runner with a compiled program and run its UserInit; the runner before it is
         ended first.
 
         Raises
@@ -138,7 +137,7 @@ class Programs:
             self.unsafe = ""
 
     def _here(self) -> Settings:
-        """The settings, with what they leave to this computer."""
+        """The settings, with CPU and time awake filled in for this computer."""
         if self.settings.clock != Clock.REAL or not self.settings.realtime:
             return self.settings
         self._place = self._place or Place()
@@ -154,7 +153,7 @@ class Programs:
                 self.session = None
 
     def ask_stop(self, author: str = "") -> None:
-        """STOP: the loop takes it at its next sample; where none runs, it stands until
+        """STOP: the loop obeys at its next sample. Without a loop the STOP stays until it is
         acknowledged. Never waits.
         """
         head = self._page.pointer("stop_page")
@@ -162,8 +161,8 @@ class Programs:
         layout()[1].monitor_store32(self._stop, 1)
 
     def latched(self) -> Trip | None:
-        """The STOP or trip that nobody has acknowledged, carried out or not. It is the target's: it
-        outlives the loop that latched it.
+        """The STOP or trip that nobody has acknowledged, whether or not the loop has carried it
+        out. It belongs to the target and outlives the loop that latched it.
         """
         session = self.session
         # before the trip, which the loop latches before it clears this
@@ -179,21 +178,21 @@ class Programs:
         return trip
 
     def trips(self) -> int:
-        """How many trips, and STOPs beside them, there were. Read it before the trip: it is never
-        the number of one that came later.
+        """How many trips and STOPs there were. Read it before the trip itself: the number is then
+        never that of a trip that came later.
         """
         head = self._page.pointer("stop_page")
         return int(head.trips) + int(head.stop)  # in this order: the loop may take one meanwhile
 
     def require_no_trip(self) -> None:
-        """Refuse what must wait until a STOP or trip is acknowledged."""
+        """Refuse while a STOP or trip is not acknowledged."""
         trip = self.latched()
         if trip is not None:
             raise Refused(f"{trip.text}: acknowledge it first")
 
     def forget_trip(self, trip: int | None) -> None:
-        """Acknowledge where no loop runs: the trip of that number, or whatever is latched. A STOP
-        that comes meanwhile stands.
+        """Acknowledge the trip of that number, or whichever is latched, where no loop runs. A STOP
+        that comes meanwhile stays.
         """
         _, lib = layout()
         head = self._page.pointer("stop_page")
@@ -211,8 +210,8 @@ class Programs:
             lib.monitor_store32(ffi_address(control.trip, "reason"), 0)
 
     def stop_page(self) -> str:
-        """Path of the file by which programs of this user stop the loop, past this process: see
-        `zendsp_protocol.stop_page`.
+        """Path of the file through which programs of this user stop the loop without this process;
+        see `zendsp_protocol.stop_page`.
         """
         return str(self._page.path)
 
@@ -237,7 +236,7 @@ class Programs:
             raise Refused("this runtime was closed")
 
     def loaded(self) -> Session:
-        """The session, running or not.
+        """The session of the loaded program, whether it runs or not.
 
         Raises
         ------
@@ -250,7 +249,7 @@ class Programs:
         return session
 
     def living(self) -> Session:
-        """The session, whose runner lives.
+        """The session of the loaded program, whose runner must be alive.
 
         Raises
         ------
@@ -264,15 +263,13 @@ class Programs:
         return session
 
     def seal(self) -> str:
-        """SHA-256 of what the machine conceals: tells nothing, and proves afterwards that nothing
-        was changed.
+        """SHA-256 of what the machine conceals. It tells nothing of the effects, and proves
+        afterwards that they were not changed.
         """
         return self._concealed.seal()
 
     def reveal(self) -> str:
-        """The sealed record itself, as JSON text: the truth, to be asked for when the diagnosis is
-        made.
-        """
+        """The sealed record as JSON text: the truth, to be asked for once the diagnosis is made."""
         return self._concealed.record_text()
 
     def close(self) -> None:

@@ -1,5 +1,5 @@
-"""The eight streams of a target, by number; each stays readable after the program that filled it is
-gone.
+"""The eight streams of a target, by number; each stays readable after the program that filled it
+has ended.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Recorder:
         self._lock = threading.Lock()
 
     def configure(self, stream: int, config: AcquireConfig) -> AcquireStatus:
-        """Set up a stream (0: recorder; 1 … 7: live); what it held before is dropped.
+        """Set up a stream (0: the recorder; 1 … 7: live). The rows that it held before are dropped.
 
         Raises
         ------
@@ -76,8 +76,7 @@ class Recorder:
             return acquisition.status(fresh, True)
 
     def start(self, stream: int, force: bool = False) -> None:
-        """Begin to acquire, or wait for the trigger; `force` fires the trigger of a stream that is
-        armed already.
+        """Begin to acquire, or wait for the trigger. `force` fires the trigger of an armed stream.
 
         Raises
         ------
@@ -96,8 +95,8 @@ class Recorder:
             acquisition.request(found, "force", session.alive)
 
     def keep(self, about: About) -> None:
-        """Have the rows of the recorder outlive this process if it is killed; see
-        `zendsp_protocol.kept`.
+        """Leave a note from which the recorder's rows can be salvaged if this process is killed;
+        see `zendsp_protocol.kept`.
         """
         found, session = self._stream(RECORDER)
         if not self._fed(session):
@@ -108,7 +107,7 @@ class Recorder:
             log.warning("what is recorded now is lost if the target is killed: %s", error)
 
     def _forget(self) -> None:
-        """What the recorder held before is not to be salvaged."""
+        """Remove the note on what the recorder held before."""
         (self._folder.path / kept.NOTE).unlink(missing_ok=True)
         if RECORDER in self._streams:
             self._streams[RECORDER][0].file.unlink()
@@ -120,14 +119,16 @@ class Recorder:
             acquisition.request(found, "disarm", session.alive)
 
     def status(self, stream: int) -> AcquireStatus:
-        """Where a stream stands."""
+        """The state of a stream and its counts of rows."""
         if stream not in self._streams:
             return AcquireStatus(RecorderState.IDLE)
         found, session = self._streams[stream]
         return acquisition.status(found, self._fed(session))
 
     def held(self, stream: int) -> Held:
-        """Where the rows of a stream stand; an empty path where it is not configured."""
+        """The file in which the rows of a stream are; an empty path where the stream is not
+        configured.
+        """
         if stream not in self._streams:
             return Held()
         found, session = self._streams[stream]

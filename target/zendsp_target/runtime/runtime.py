@@ -29,7 +29,7 @@ from zendsp_target.runtime.status import empty_status, status_of
 
 
 def program_text(name: str) -> str:
-    """Source of an example program.
+    """The source of an example program.
 
     Parameters
     ----------
@@ -127,13 +127,13 @@ class Runtime:
 
     @property
     def left_behind(self) -> tuple[list[Kept], list[Kept]]:
-        """What targets that were killed had recorded: what stays in shared memory, and what the
-        start of this one removed.
+        """Recordings of targets that were killed: those that are still in shared memory, and those
+        that the start of this target removed.
         """
         return self.programs.folder.kept, self.programs.folder.dropped
 
     def status(self) -> Status:
-        """Everything that a person wants to see at a glance."""
+        """The state of program, loop, drives and trips."""
         programs, session = self.programs, self.programs.session
         number = programs.trips()
         status = (

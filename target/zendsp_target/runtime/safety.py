@@ -1,4 +1,4 @@
-"""Translates the loop's decisions: trips, limits, drive modes, timing."""
+"""Trips, limits, drive modes and timing: the loop's numbers as messages of the protocol."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_m
 
 
 def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
-    """The trip that is latched and has been carried out, None while there is none: nobody is told
-    of one before the machine has its safe outputs.
+    """The trip that is latched and carried out, None while there is none. A trip is not told before
+    the machine has its safe outputs.
 
     Parameters
     ----------
@@ -50,8 +50,8 @@ def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
 
 
 def latched_trip(control: Any, machine: MachineInfo) -> Trip | None:
-    """The latched trip, carried out or not (see :func:`trip_of`), or one that was asked for and
-    that the loop has not taken; None while there is none.
+    """The latched trip, carried out or not (see :func:`trip_of`), or one that was requested and
+    that the loop has not yet seen; None while there is none.
     """
     ffi, lib = layout()
     # before the trip, which the loop latches before it clears this
@@ -83,7 +83,9 @@ def _trip_in(control: Any, machine: MachineInfo) -> Trip | None:
 
 
 def asked_trip(reason: TripReason, tick: int, by: bytes = b"") -> Trip:
-    """A STOP, or another of `REQUESTS`, that no loop has taken: none ran, or it ended before."""
+    """A STOP, or another of `REQUESTS`, that no loop has carried out, because none ran or it ended
+    before.
+    """
     cause = _ASKED[reason] + _by(by)
     return Trip(reason, tick=tick, text=f"{cause}; nothing moves until acknowledged", cause=cause)
 
@@ -140,8 +142,7 @@ def _cause(
 
 
 def machine_of(control: Any) -> MachineInfo:
-    """What the machine said of itself.
-    """
+    """What the machine says of itself."""
     info = control.info
     joints = tuple(
         JointInfo(
@@ -186,13 +187,13 @@ def limits_of(values: dict[str, Value]) -> Limits:
 
 
 def limit_names() -> tuple[str, ...]:
-    """Settings that make up the limits."""
+    """Names of the settings that are limits."""
     return tuple(f"limit.{name}" for name in (*_ARRAYS, "torque_clamp"))
 
 
 def check_limits(machine: MachineInfo, changes: Mapping[str, Value]) -> dict[str, Value]:
-    """Settings for changed limits, checked against the machine: a limit may be tightened, never
-    beyond what the machine bears.
+    """Settings for changed limits, checked against the machine: a limit may be tightened, and never
+    lies beyond the machine's own.
 
     Parameters
     ----------

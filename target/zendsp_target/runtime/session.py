@@ -1,5 +1,5 @@
-"""One load of a program: its runner, its dictionary, its updates. Readable after its runner has
-died.
+"""One load of a program: its runner, its dictionary, its updates. It stays readable after its
+runner has died.
 """
 
 from __future__ import annotations
@@ -144,19 +144,19 @@ class Session:
 
     @property
     def tick(self) -> int:
-        """Samples done."""
+        """The number of samples done."""
         _, lib = layout()
         return int(lib.monitor_load64(ffi_address(self.control, "tick")))
 
     @property
     def running(self) -> int:
-        """RUN_… as the loop sees it."""
+        """What the loop does now, a constant RUN_…."""
         _, lib = layout()
         return int(lib.monitor_load32(ffi_address(self.control, "running")))
 
     @property
     def pressed(self) -> bool:
-        """Whether the machine's STOP input is active, as the loop saw it last."""
+        """Whether the machine's STOP input was active when the loop last read it."""
         _, lib = layout()
         return bool(lib.monitor_load32(ffi_address(self.control, "pressed"))) and self.alive()
 
@@ -166,7 +166,7 @@ class Session:
         lib.monitor_run(self._pointer, run)
 
     def until(self, done: Callable[[], bool], what: str, timeout_s: float = _ANSWER_S) -> None:
-        """Sleep until the loop has answered.
+        """Wait until ``done`` says that the loop has answered.
 
         Raises
         ------
@@ -188,7 +188,7 @@ class Session:
             time.sleep(0.0002)
 
     def settle(self, what: str) -> None:
-        """Sleep until the loop has seen what was stored before, and others see what it did.
+        """Wait until the loop has seen everything stored before, and its result can be read.
 
         Raises
         ------
@@ -200,7 +200,7 @@ class Session:
         self.until(lambda: bool(lib.monitor_load64(heartbeat) >= over), what)
 
     def snapshot(self) -> tuple[int, np.ndarray[tuple[int], np.dtype[np.uint8]]]:
-        """The newest sample: its tick, and all small values as bytes."""
+        """The newest sample: its tick, and the values of all variables but tables as bytes."""
         ffi, lib = layout()
         values = np.empty(self._bytes, dtype=np.uint8)
         tick = ffi.new("uint64_t *")
@@ -216,7 +216,7 @@ class Session:
         return int(tick[0]), values
 
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
-        """Values of one sample; tables as they stand.
+        """Values of one sample; tables as they are now.
 
         Raises
         ------
@@ -251,8 +251,8 @@ class Session:
         return tick, {name: found[name] for name in names}
 
     def show_trip(self) -> None:
-        """Sleep until the sample of a STOP or trip that is latched can be read; not at all where
-        there is none.
+        """Wait until the sample of a latched STOP or trip can be read; return at once where none is
+        latched.
         """
         if self._tripped():
             shown, newest = self.control.trip, layout()[1].monitor_load64
@@ -261,7 +261,7 @@ class Session:
             )
 
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None:
-        """Make what fills a reply with the newest values of the same names; see
+        """A function that fills a reply with the newest values of the same names; see
         `RuntimeApi.repeat_read`.
         """
         plan = self._read_plans.get(tuple(names))
@@ -275,7 +275,7 @@ class Session:
     def repeat_write(
         self, names: Sequence[str], author: str, request: Blank, reply: Blank
     ) -> Callable[[bytes], int] | None:
-        """Make what writes doubles again; see `RuntimeApi.repeat_write`."""
+        """A function that writes doubles again; see `RuntimeApi.repeat_write`."""
         return self.updates.repeat(self._ended, names, author, request, reply)
 
     def set_settings(self, values: Mapping[str, object], author: str) -> int:
@@ -284,12 +284,12 @@ class Session:
 
     @property
     def unsafe(self) -> str:
-        """Why the machine may still move though the runner has ended; empty: it is safe."""
+        """Why the machine may still move though the runner has ended; empty where it is safe."""
         return "" if self.alive() else self.process.unsafe
 
     def close(self) -> str:
-        """End the runner, machine safe; what was recorded stays readable. Returns why the machine
-        is not safe, else nothing.
+        """End the runner and make the machine safe; what was recorded stays readable. Returns why
+        the machine is not safe, or an empty string.
         """
         layout()[1].monitor_store32(self._ended, 1)
         self._supervisor.expect_end()

@@ -20,7 +20,7 @@ _MODES = {number: name for name, number in safety.DRIVE_MODES.items()}
 
 
 def empty_status(settings: Settings, unsafe: str, trip: Trip | None) -> Status:
-    """Status while no program is loaded.
+    """The status while no program is loaded.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def empty_status(settings: Settings, unsafe: str, trip: Trip | None) -> Status:
 
 
 def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
-    """Status of a loaded program, dead or alive.
+    """The status of a loaded program, whether its runner lives or not.
 
     Parameters
     ----------

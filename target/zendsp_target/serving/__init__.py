@@ -1,1 +1,1 @@
-"""The network side: requests come in here, and answers and streams leave."""
+"""The network side: it takes requests and sends answers and streams."""

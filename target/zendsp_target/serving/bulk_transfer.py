@@ -1,4 +1,4 @@
-"""Recorded rows on their way out: one request, many replies, each with its own checksum."""
+"""Sends recorded rows: one request, many replies, each with its own checksum."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LOWEST, HIGHEST = 1 << 12, 1 << 23  # bytes of one chunk
 def send_rows(
     runtime: RuntimeApi, stream: int, args: verbs.AcquireRead, query: zenoh.Query
 ) -> m.Empty:
-    """Reply with the rows asked for, in chunks; they give way to quick replies on the same link.
+    """Reply with the rows asked for, in chunks; short replies on the same link go first.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def send_rows(
 
 
 class _Buffer:
-    """Room for one chunk of rows."""
+    """Memory for one chunk of rows."""
 
     def __init__(self, rows: int, columns: int) -> None:
         self._columns = columns
@@ -57,7 +57,9 @@ class _Buffer:
     def fill(
         self, runtime: RuntimeApi, stream: int, first: int, count: int
     ) -> tuple[bytes, bytes | bytearray]:
-        """Copy rows here; returns the chunk's header and its bytes, good until the next call."""
+        """Copy rows into it; return the chunk's header and its bytes, which hold until the next
+        call.
+        """
         fold = bytearray(FOLD)
         rows = runtime.acquire_read(stream, first, count, self._into, fold)
         header = m.ChunkHeader(

@@ -1,4 +1,4 @@
-"""How a handler says that it would have to wait, and the threads that wait in its place."""
+"""How a handler says that it would have to wait, and the threads that do the waiting."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ WAITING = 256  # requests of one user
 
 
 class Later(Exception):
-    """Raised by a handler that would wait: the rest is to be run by another thread."""
+    """Raised by a handler that would have to wait; ``rest`` is the work for another thread."""
 
     def __init__(self, rest: Callable[[], Any]) -> None:
         self.rest = rest
 
 
 class Waiters:
-    """Threads that finish what waits; who lets much wait keeps no other user waiting."""
+    """Threads that finish requests that have to wait. A user with many of them does not hold up
+    others.
+    """
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(THREADS, "waiter")
@@ -32,7 +34,7 @@ class Waiters:
         self._busy: dict[str, int] = {}  # threads
 
     def submit(self, user: str, work: Callable[[], None]) -> None:
-        """Have the rest of a request done.
+        """Have a thread do the rest of a request.
 
         Raises
         ------
@@ -58,7 +60,7 @@ class Waiters:
             work()
 
     def close(self) -> None:
-        """Begin nothing more."""
+        """Start no further work."""
         with self._lock:
             for waiting in self._waiting.values():
                 waiting.clear()

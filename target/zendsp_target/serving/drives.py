@@ -81,8 +81,8 @@ class Drives:
     # -- what is
 
     def state(self, status: Status) -> DriveState:
-        """Return where in the sequence a status is. Takes no lock: who waits for the loop holds it,
-        and STOP asks this.
+        """The state of the sequence for this status. It takes no lock: whoever waits for the loop
+        holds the lock, and STOP needs this.
         """
         if status.trip is not None:
             self._enabled = False
@@ -100,11 +100,11 @@ class Drives:
         return resting
 
     def conditions(self, status: Status) -> tuple[m.Condition, ...]:
-        """Return everything that enabling needs."""
+        """The conditions of enabling."""
         return conditions(status, self._powered or not self._explicit, self._runtime)
 
     def status(self) -> m.DriveStatus:
-        """Return state, conditions, commander and policy."""
+        """State, conditions, commander and policy."""
         status = self._runtime.status()
         state = self.state(status)
         with self._lock:
@@ -153,8 +153,8 @@ class Drives:
             return "the right to command is free"
 
     def _pass_to(self, host: str) -> str:
-        """Pass the right on, "" to nobody. A policy ends with the commander who chose it; returns
-        what a new one must know of another's.
+        """Give the right to command to a host, "" for nobody. A policy ends with the commander who
+        chose it. Returns a sentence for the new commander where somebody else's policy stays.
         """
         before, self.commander = self.commander, host
         if host not in ("", before):  # what others have set for later is theirs
@@ -166,9 +166,11 @@ class Drives:
         return f"; if this host is lost: {self._policy}, as {self._policy_by} chose"
 
     def host_gone(self, host: str, moves: bool = False) -> HostLost | None:
-        """Act on the disappearance of a host, by the policy, if it commanded, or if nobody did and
-        a run of it `moves` the machine, or a start that it watched; returns the policy that acted,
-        None where none did.
+        """Apply the host-lost policy to a host that disappeared; return the policy that acted, None
+        where none did.
+
+        It acts if the host commanded; and, where nobody commands, if a run of the host `moves` the
+        machine or the host watched a start.
         """
         with self._lock:
             if host == self._attended_by:
@@ -196,15 +198,15 @@ class Drives:
             return HostLost.STOP
 
     def watch(self) -> None:
-        """Let the loop know whether a host is looked after: it stops the machine itself where this
-        process stands still, since nobody would see that the host is lost.
+        """Tell the loop whether it must stop the machine if this process hangs: while a host
+        commands or moves it, nobody else would notice that this host is lost.
         """
         commands = self.commander or self.moved_by or self._attended_by
         self._runtime.attend(bool(commands) and self._policy != HostLost.FINISH)
 
     def _end_recording(self) -> None:
-        """End what is recorded now as after STOP, once the machine has come to rest: its host, who
-        would have, is gone.
+        """End the present recording once the machine has come to rest, as after STOP: the host that
+        would have ended it is gone.
         """
         recorder = self._runtime.acquire_status(RECORDER)
         if recorder.state not in (RecorderState.ARMED, RecorderState.RUNNING):
@@ -291,8 +293,8 @@ class Drives:
         return "homing"
 
     def enable(self, mode: DriveMode) -> str:
-        """homed → enabled, in torque or velocity mode; while automatic this switches the power on
-        too. What is refused changes nothing.
+        """homed → enabled, in torque or velocity mode. In the automatic mode this also switches the
+        power on. A refusal changes nothing.
         """
         if mode not in (DriveMode.TORQUE, DriveMode.VELOCITY):
             raise Refused(f"drive mode {mode}: expected torque or velocity")
@@ -312,7 +314,9 @@ class Drives:
         return f"enabled, {mode} mode"
 
     def _refuse_to_move(self, what: str) -> None:
-        """A program that went on while the drives were off would move the machine at once."""
+        """Refuse where a program went on running while the drives were off: it would move the
+        machine at once.
+        """
         running = self._runtime.status().state == ProgramState.RUNNING
         if self._explicit and not self._enabled and running:
             raise Refused(f"{what} is refused: the program runs and would move at once; pause it")
@@ -323,8 +327,9 @@ class Drives:
         return f"disabled{self._off_and_look()}"
 
     def acknowledge(self, trip: int | None = None) -> str:
-        """stopped | tripped → homed; nothing moves before somebody enables (or, automatically,
-        starts) again. Where nothing is latched, or not what is meant, nothing changes.
+        """stopped | tripped → homed; nothing moves before somebody enables again, or in the
+        automatic mode starts. Where nothing is latched, or another trip than the one meant, nothing
+        changes.
         """
         status = self._runtime.status()
         if status.trip is None and status.state != ProgramState.CRASHED:
@@ -349,7 +354,7 @@ class Drives:
         return f"acknowledged; {first} before anything moves{was}"
 
     def auto(self) -> str:
-        """Leave the explicit sequence: drives on at start, off at pause."""
+        """Leave the explicit sequence: drives are on from start to pause."""
         if self._managed:
             raise Refused(
                 "this target was started with --managed: the sequence must be followed (power,"
@@ -361,8 +366,8 @@ class Drives:
         return "automatic: on at start, off at pause"
 
     def set_policy(self, policy: HostLost, by: str) -> str:
-        """Choose what happens when the commanding host is lost: it ends with the command of whoever
-        chose it; from who does not come to command it stays.
+        """Choose what happens when the commanding host is lost. The choice ends with the command of
+        the host that made it; that of a host without the command stays.
         """
         self._policy, self._policy_by = policy, by
         return f"if the commanding host is lost: {policy}"
@@ -372,8 +377,8 @@ class Drives:
         self._runtime.set_drive(DriveMode.OFF)
 
     def _off_and_look(self) -> str:
-        """Switch the drives off, and wait for a short soft stop; returns what there is to say where
-        they are not off.
+        """Switch the drives off and wait for a short soft stop; return a sentence where they are
+        not off after it.
         """
         self._off()
         deadline = time.monotonic() + OFF_S
@@ -390,8 +395,8 @@ class Drives:
     # -- before and after the other verbs
 
     def before(self, name: str, args: Any) -> str | None:
-        """Refuse a verb that the sequence does not allow now; returns a sentence where it was
-        carried out here, in place of its handler.
+        """Refuse a verb that the sequence does not allow now. Returns a sentence where the verb was
+        carried out here instead of by its handler.
         """
         if name == "start":
             self._check_start()
@@ -408,7 +413,7 @@ class Drives:
         return None
 
     def after(self, name: str, args: Any, by: str) -> None:
-        """Note what a verb means for the sequence that was carried out."""
+        """Change the state of the sequence after a verb was carried out."""
         if name in ("start", "home", "pause"):
             attended = name == "home" or (name == "start" and args.attended)
             self._attended_by = by if attended else ""

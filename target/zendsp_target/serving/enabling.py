@@ -1,4 +1,4 @@
-"""The conditions of enabling the drives, each with what to do where it is not met."""
+"""The conditions of enabling the drives, each with what to do where it does not hold."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from zendsp_target.api import PRESSED, RuntimeApi
 
 
 def conditions(status: Status, powered: bool, runtime: RuntimeApi) -> tuple[Condition, ...]:
-    """Return every condition; the advice is empty where it is met.
+    """The conditions of enabling; the advice is empty where a condition holds.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ def conditions(status: Status, powered: bool, runtime: RuntimeApi) -> tuple[Cond
 
 
 def loaded(status: Status) -> bool:
-    """Whether a program is loaded, and did not crash."""
+    """Whether a program is loaded and has not crashed."""
     return status.state not in (ProgramState.EMPTY, ProgramState.CRASHED)
 
 
 def refusal(what: str, failing: Sequence[Condition]) -> str:
-    """Say why something is refused, naming each condition that fails."""
+    """The refusal of an action, naming each condition that fails."""
     names: dict[str, list[str]] = {}
     for c in failing:
         names.setdefault(c.advice, []).append(c.name.removeprefix("no "))
@@ -88,7 +88,9 @@ def _limits_set(runtime: RuntimeApi) -> bool:
 
 
 def _faults(status: Status) -> str:
-    """Of hardware that rests: which sensors it does not trust; nothing where there are none."""
+    """The position sensors that report a fault while the machine rests, in a sentence; empty where
+    there are none.
+    """
     bad = np.flatnonzero(np.asarray(status.io.get("fault", ())))
     joints = f"joint{'s' * (len(bad) > 1)} {', '.join(str(j + 1) for j in bad)}"
     return f"the machine reports a fault of {joints}: mend it, load the program again" * bool(

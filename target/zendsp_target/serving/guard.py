@@ -1,4 +1,4 @@
-"""The rules of the drives, put before the handlers of every verb that could move or change
+"""Applies the rules of the drives before the handler of every verb that could move or change
 something.
 """
 
@@ -30,7 +30,7 @@ SEEN_S = 1.0  # for the token of a host to arrive after its first request
 
 
 class Guard:
-    """Stands between requests and handlers.
+    """Checks requests before their handlers are called.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Guard:
         self.lost: Callable[[str], object] = drives.host_gone
 
     def enter(self, handlers: dict[str, Handler]) -> None:
-        """Put the rules before every handler that could move something, and add the verbs of the
+        """Wrap every handler that could move something in the rules, and add the verbs of the
         sequence.
         """
         for name in COMMANDING:
@@ -91,7 +91,8 @@ class Guard:
         return watched if name in (*WATCHED, "home") else act
 
     def watched(self, by: str, do: Callable[[], Any]) -> Any:
-        """Do what makes a host one that must not be lost unnoticed: not for one that nobody sees.
+        """Carry out ``do``, which makes a host one whose loss must be noticed; refused for a host
+        whose loss could not be.
 
         Raises
         ------

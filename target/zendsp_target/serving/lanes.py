@@ -1,4 +1,4 @@
-"""Requests, lane by lane: each is taken, carried out once, and answered."""
+"""Takes the requests of each lane, carries each out once, and answers it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ COMMAND = verbs.VERBS["drive"]
 
 
 class Requests:
-    """What the lanes share: the handlers, who may do what, and how an answer goes out.
+    """What all lanes share: the handlers, the rights of users, and the way of an answer.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Requests:
         self._commanded: dict[str, tuple[str, verbs.Verb]] = {}
 
     def author(self, user: str, said: str, verb: verbs.Verb, args: Any) -> str:
-        """Return who asks, as the log says it: of a user whom the target knows by name that name,
+        """The name of the asker for the log. A user whom the target knows by name has that name,
         whatever the request says.
 
         Raises
@@ -70,7 +70,7 @@ class Requests:
     def work(
         self, verb: verbs.Verb, args: Any, by: str, user: str, query: zenoh.Query
     ) -> Callable[[], Any]:
-        """Return what carries a request out."""
+        """Return a function that carries a request out."""
         if verb.name == "compile":
             self.doors.check_upload(user)
         handler = self.service.handlers.get(verb.name)
@@ -90,7 +90,7 @@ class Requests:
         key: zenoh.KeyExpr,
         ticket: Ticket | None,
     ) -> None:
-        """Have a waiter do the rest of a request, and answer it.
+        """Have another thread finish a request and answer it.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Requests:
         ticket: Ticket | None,
         reply: bytes | bytearray,
     ) -> None:
-        """Reply, also to those who sent the same request again while it was carried out."""
+        """Send a reply, also to those who sent the same request again meanwhile."""
         # first: who waits is spared the rest, and who asks again until then is answered below
         send(query, key, reply)
         if ticket is not None:
@@ -131,11 +131,11 @@ class Requests:
                 send(again, key, reply)
 
     def forget(self, host: str) -> None:
-        """Let go of a host that is gone."""
+        """Forget the commands of a host that is gone."""
         self._commanded.pop(host, None)
 
     def end_commands(self) -> None:
-        """Whose role no longer moves the machine is, of what it moved, a host that is lost."""
+        """Treat a host as lost, in what it moved, once its user's role no longer includes that."""
         while len(self._commanded) > MOST_HOSTS:  # names that were never there, the oldest first
             self._commanded.pop(next(iter(self._commanded)), None)
         for host, (user, verb) in list(self._commanded.items()):
@@ -145,7 +145,7 @@ class Requests:
                 self.service.runs.host_gone(host)
 
     def close(self) -> None:
-        """Begin nothing more."""
+        """Start no further work."""
         self._waiters.close()
 
 
@@ -166,7 +166,7 @@ class Lane:
         self._repeats: dict[str, Repeats] = {}  # by user
 
     def _repeats_of(self, user: str) -> Repeats | None:
-        """What knows the requests of a user; None: they all go the whole way.
+        """The prepared answers of a user; None where each request has to be decoded.
 
         A role that may write may read as well. Who has less goes the whole way, where each verb
         asks for its own.
@@ -180,7 +180,7 @@ class Lane:
         return known
 
     def answer(self, query: zenoh.Query) -> None:
-        """Answer one request, whatever happens: silence would look like a dead target."""
+        """Answer one request in every case: silence would look like a dead target."""
         key, user = self._key, ""
         if key is None:
             key = query.key_expr
@@ -227,7 +227,7 @@ class Lane:
 
 
 def refusal(error: Exception) -> bytes:
-    """Return the reply that says why not."""
+    """The encoded reply for an error."""
     if not isinstance(error, ZendspError):
         log.error("a request failed", exc_info=error)
     return codec.encode_error(error)

@@ -1,7 +1,7 @@
 """Live streams: the newest samples of chosen channels, published as they come, at a bounded cost.
 
-Rows that a slow poll missed are skipped and counted, never queued: the loop and the link owe
-nothing to a slow viewer.
+Rows that a slow viewer missed are skipped and counted, never queued: neither the loop nor the link
+waits for a viewer.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ UNWATCHED_S = 5.0  # then a stream ends: its viewer went without saying so
 
 
 class Send(Protocol):
-    """Publish one message of a stream to those who look, by the names under which they are known.
+    """Publish one message of a stream to its viewers, given the names under which they are known.
     """
 
     def __call__(
@@ -68,7 +68,7 @@ class Stream:
 
 
 class LiveStreams:
-    """Polls the runtime's rings from one thread and publishes what is new."""
+    """Polls the runtime's rings from one thread and publishes new rows."""
 
     def __init__(
         self, runtime: RuntimeApi, send: Send, watched: Callable[[int, frozenset[str]], bool]
@@ -92,7 +92,7 @@ class LiveStreams:
         viewer: str,
         user: str = "",
     ) -> Stream:
-        """Open a stream, or join one of the same channels.
+        """Open a stream, or join one of the same channels; return its number.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ class LiveStreams:
                 self.close_stream(number, viewer)
 
     def keep(self, may_look: Callable[[str], bool]) -> None:
-        """End the looking of those who may not any more."""
+        """End the views of users who may no longer look."""
         with self._lock:
             for stream in list(self._streams.values()):
                 kept = {viewer: user for viewer, user in stream.viewers.items() if may_look(user)}
@@ -174,7 +174,7 @@ class LiveStreams:
                     self._look(stream, kept)
 
     def _look(self, stream: Stream, viewers: dict[str, str]) -> None:
-        """Set who looks at a stream; it ends with its last viewer."""
+        """Set the viewers of a stream; it ends with the last one."""
         stream.viewers, stream.users = viewers, frozenset(viewers.values())
         if not viewers and self._streams.pop(stream.number, None) is not None:
             self._stop(stream.number)
@@ -222,14 +222,16 @@ class LiveStreams:
                 self._wake.clear()
 
     def _abandoned(self, stream: Stream, now: float) -> bool:
-        """Tell whether nobody has subscribed for long enough; looks once in a while only."""
+        """Whether nobody has subscribed for long enough; subscribers are counted only once in a
+        while.
+        """
         stream.look = now + LOOK_S
         if self._watched(stream.number, stream.users):
             stream.watched = now
         return now - stream.watched > UNWATCHED_S
 
     def _serve(self, stream: Stream) -> float:
-        """Publish what is new and return the time to wait, in s."""
+        """Publish new rows and return the time to wait, s."""
         try:
             if stream.broken:
                 self._start(stream)

@@ -1,4 +1,4 @@
-"""Keep memory that large messages use once, for the next ones."""
+"""Keeps the memory of large messages for the next ones."""
 
 from __future__ import annotations
 

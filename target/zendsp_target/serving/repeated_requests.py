@@ -1,11 +1,12 @@
-"""Repeated requests, recognised by their bytes: a host that tunes or watches sends the same ones
-thousands of times.
+"""Answers repeated requests, recognised by their bytes: a host that tunes or watches sends the same
+ones thousands of times.
 
-A monitor that wakes up for a request finds little of its Python in the caches, and pays for every
-function on the way several times over. So a request that has gone the whole way once is answered by
-what was made ready for its bytes. A reading is known by all of them, one that is to see a write by
-all but the number of that write at its end, a write or an update of doubles by all but these.
-Whatever is not plainly right goes the whole way again, which finds the words.
+A monitor that wakes up for a request finds little of its Python in the processor's caches, so each
+function on the way costs several times what it does in a loop. Therefore a request that was decoded
+and answered once leaves a prepared answer. A reading is recognised by all of its bytes; a reading
+that has to see a certain write, by all bytes but the number of that write at the end; a write or an
+update of doubles, by all bytes but those of the doubles. Whatever differs otherwise, or is refused,
+is decoded as usual, which also finds the words of the refusal.
 """
 
 from __future__ import annotations
@@ -41,9 +42,7 @@ Answer = Callable[[bytes], bytes | bytearray | None]  # None: it has to go the w
 
 
 class Repeats:
-    """Answers to requests that came before; of one user and one thread, since a reply is filled in
-    where the last one stood.
-    """
+    """Prepared answers for one user and one thread: a reply is written over the last one."""
 
     def __init__(self, runtime: RuntimeApi, drives: Drives, lane: str) -> None:
         self._runtime, self._drives, self._lane = runtime, drives, lane
@@ -52,7 +51,7 @@ class Repeats:
         self._beginnings: dict[int, tuple[int, ...]] = {}  # their lengths, by that of the request
 
     def answer(self, request: bytes) -> bytes | bytearray | None:
-        """Return the reply, good until the next; None: the request has to go the whole way.
+        """The reply, which holds until the next call; None where the request has to be decoded.
 
         Raises
         ------
@@ -66,8 +65,8 @@ class Repeats:
         return None
 
     def learn(self, request: bytes, verb: verbs.Verb, args: Any, said: str, author: str) -> None:
-        """Make ready for a request that went the whole way, and well: from whom, as it says, and as
-        the target knows.
+        """Prepare an answer after a request was decoded and carried out. ``said``: the author that
+        it names; ``author``: the one that the target knows.
         """
         if len(request) > LONGEST:
             return
@@ -77,15 +76,15 @@ class Repeats:
             self._learn_write(request, verb, args, said, author)
 
     def forget(self) -> None:
-        """Let go of what was made ready for a program that is gone."""
+        """Drop the answers that were prepared for a program that is no longer loaded."""
         self._answers.clear()
         self._beginnings.clear()
 
     def _keep(
         self, request: bytes, length: int, answer: Answer | None, ends: Iterable[int]
     ) -> None:
-        """Remember what answers requests of which so many bytes are those of this one, and ``ends``
-        says how many may follow.
+        """Remember the answer to requests that begin with the first ``length`` bytes of this one;
+        ``ends``: how many bytes may follow.
         """
         if len(self._answers) >= MOST:
             self.forget()
@@ -98,7 +97,7 @@ class Repeats:
     def _means(
         self, request: bytes, verb: verbs.Verb, args: verbs.Arguments, said: str
     ) -> bool:
-        """Whether a request is decoded into this."""
+        """Whether a request is decoded into these arguments."""
         try:
             found, other, by = codec.decode_request(request, self._lane)
         except LinkError:
@@ -130,7 +129,9 @@ class Repeats:
         self._keep(request, length, answer, (1, *_NUMBER.values()) if end else (0,))
 
     def _shown(self, number: bytes) -> bool:
-        """Whether the write of this number, as MessagePack has it, can be read, or soon can."""
+        """Whether the write of this number (in MessagePack) can be read now or within
+        `APPLY_INLINE_S`.
+        """
         first = number[0]
         if len(number) != _NUMBER.get(first, 1) or (first > _SMALL and len(number) == 1):
             return False
@@ -186,7 +187,7 @@ class Repeats:
 
 
 def _places(request: bytes, values: Iterable[object]) -> tuple[int, ...]:
-    """Where doubles stand in a request, one behind the other; none where one is not found."""
+    """Where the doubles stand in a request, in their order; none where one is not found."""
     places: list[int] = []
     at = 0
     for value in values:

@@ -1,4 +1,4 @@
-"""Remembers what became of the requests that change something, so that one that comes again is not
+"""Remembers the replies to requests that change something, so that a request sent again is not
 carried out again.
 """
 
@@ -29,7 +29,9 @@ Ticket = tuple[str, bytes, int]  # user, connection and number of a request
 
 @dataclass(slots=True)
 class _Memory:
-    """The memory of one connection: replies by number, or a list of those who wait for one."""
+    """The memory of one connection: by number of request, the reply, or a list of those who wait
+    for it.
+    """
 
     results: dict[int, bytes | list[Any]] = field(default_factory=dict)
     forgotten: int = -1  # largest number whose reply was dropped
@@ -39,7 +41,7 @@ class _Memory:
 
 @dataclass(slots=True)
 class _Links:
-    """The connections of one user, the one that was quiet longest first."""
+    """The connections of one user, that which was quiet longest first."""
 
     memories: OrderedDict[bytes, _Memory] = field(default_factory=OrderedDict)
     # until then, one that is not known may be one that was dropped too early, s
@@ -47,9 +49,9 @@ class _Links:
 
 
 class Once:
-    """Outcomes of requests by their identity; safe from any thread.
+    """Replies by request; safe from any thread.
 
-    Each user has room of his own, so that nobody can push out what others may ask for again.
+    Each user has a memory of limited size, so that nobody can push out the replies of others.
 
     Parameters
     ----------
@@ -155,8 +157,8 @@ class Once:
         memory.last = self._now()
 
     def _make_room(self, links: _Links, now: float) -> None:
-        """Drop connections that have long given up, then the quietest while there are too many;
-        none with work under way.
+        """Drop connections that have long given up, then the quietest ones while there are too
+        many; never one with a request under way.
         """
         for link, memory in list(links.memories.items())[:-1]:
             quiet = now - memory.last > QUIET_S
@@ -167,12 +169,12 @@ class Once:
                 links.unsure = now + QUIET_S
 
     def remembered(self, user: str = "") -> tuple[bytes, ...]:
-        """Connections of a user that are remembered."""
+        """How many connections of a user are remembered."""
         with self._lock:
             return tuple(self._users[user].memories) if user in self._users else ()
 
     def drop(self, ticket: Ticket) -> None:
-        """Do not remember a request: however often it comes, nothing changes."""
+        """Do not remember a request, since it changes nothing however often it comes."""
         user, link, number = ticket
         with self._lock:
             links = self._users[user]
@@ -182,7 +184,8 @@ class Once:
             self._heard(links, link, memory)
 
     def finish(self, ticket: Ticket, reply: bytes | bytearray) -> list[Any]:
-        """Remember the reply of a request that was carried out; returns who asked for it meanwhile.
+        """Remember the reply of a request that was carried out; return those who asked for it
+        meanwhile.
         """
         user, link, number = ticket
         with self._lock:

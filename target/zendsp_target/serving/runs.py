@@ -1,4 +1,4 @@
-"""Restores what a run has set in the program when it ends, and when its host is lost."""
+"""Restores what a run has set in the program, when the run ends or its host is lost."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STANDS_S = 1.0  # for the host-lost policy to act
 
 @dataclass(frozen=True)
 class Run:
-    """A run that has begun, and what was before it."""
+    """A run that has begun, and the values before it."""
 
     host: str
     moves: bool
@@ -84,8 +84,8 @@ class Runs:
         return applied(self._runtime, sequence) if sequence else m.Applied(sequence=0, tick=0)
 
     def host_gone(self, host: str) -> None:
-        """Let the policy act if a run of a lost host moves the machine, then put back what its runs
-        have set, the last first.
+        """Apply the host-lost policy if a run of a lost host moves the machine; then restore what
+        its runs have set, the last run first.
         """
         with self._lock:
             mine = [number for number, run in self._open.items() if run.host == host]
@@ -114,12 +114,12 @@ class Runs:
         return status.state == ProgramState.RUNNING and status.trip is None
 
     def _put_back(self, run: Run, by: str) -> int:
-        """Write everything back, in one sample or, where the run asked for it and the program
-        runs, faded over several; returns its sequence number, 0 for nothing.
+        """Restore all values in one sample, or faded over several where the run asked for it and
+        the program runs; return the sequence number of the update, 0 where there was none.
 
-        Nothing is written into another program, into one that was loaded afresh, or that crashed.
-        Of a program that runs and follows its tables, the rows that it had stay away: their
-        switch-over would begin their motion.
+        Nothing is written into a program other than the run's, one that was loaded anew, or one
+        that crashed. The rows of tables are not restored while the program runs and follows its
+        tables, since the switch-over would start their motion.
         """
         now, then = self._runtime.status(), run.before
         if now.state in GONE or now.program != then.program or now.tick < then.tick:
@@ -134,7 +134,9 @@ class Runs:
         return self._write(values, by, fade)
 
     def _write(self, values: Mapping[str, Value], by: str, fade: int) -> int:
-        """Write what may be written: what the program itself had set is held to no limit."""
+        """Write the values that may be written. Values that the program itself had set are not held
+        to limits.
+        """
         if not values:
             return 0
         try:

@@ -1,5 +1,5 @@
-"""The Zenoh side of the target: what it answers under which key, what it publishes, and the tokens
-that show it is alive.
+"""The Zenoh side of the target: the keys that it answers, what it publishes, and the tokens that
+show that it is alive.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Server:
         self._token = session.liveliness().declare_token(keys.alive(self.name))
 
     def close(self) -> None:
-        """Withdraw everything; the session stays open for its owner to close."""
+        """Withdraw all keys and tokens; the session stays open for its owner to close."""
         self._end.set()
         # hosts elsewhere cannot look for the process: this tells them not to wait for it
         self._ended = self._session.liveliness().declare_token(keys.ended(self.name))
@@ -96,7 +96,7 @@ class Server:
     # requests
 
     def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
-        """Answer what comes for a key, in as many threads."""
+        """Answer the requests for a key, with one thread for each of ``answers``."""
         queryable = self._session.declare_queryable(
             key, zenoh.handlers.RingChannel(WAITING), complete=True
         )
@@ -188,7 +188,7 @@ class Server:
 
     def _pulse(self) -> None:
         """Publish the status at every change of state and twice a second; end live views and
-        commands whose role was taken away.
+        commands of users whose role was taken away.
         """
         publisher = self._session.declare_publisher(keys.event(self.name))
         last, due = None, 0.0

@@ -1,4 +1,4 @@
-"""What each verb does: the arguments are checked already, errors are replies, and nothing here
+"""What each verb does. The arguments are checked already, errors become replies, and nothing here
 knows Zenoh.
 """
 
@@ -119,7 +119,7 @@ class Service:
         )
 
     def _post_mortem(self) -> m.Status:
-        """Status of a runner that is dead already, once it is known how it died."""
+        """The status of a runner that has died, once it is known how."""
         deadline = time.monotonic() + POST_MORTEM_S
         status = self.runtime.status()
         while (
@@ -179,7 +179,7 @@ class Service:
         return m.Empty()
 
     def repeats(self, lane: str) -> Repeats:
-        """Make what answers requests that come again, for one thread of a lane."""
+        """The prepared answers for one thread of a lane."""
         repeats = Repeats(self.runtime, self.drives, lane)
         self._repeats.append(repeats)
         return repeats
@@ -229,7 +229,8 @@ class Service:
         return m.Empty()
 
     def _about(self) -> About:
-        """Metadata of a recording that begins, for the case that this process is killed."""
+        """The metadata of a recording that begins, kept for the case that this process is killed.
+        """
         status, info = self.runtime.status(), self.do_info(verbs.Nothing(), "")
         names = [v.name for v in self.runtime.variables() if v.kind == VariableKind.PARAMETER]
         return About(
@@ -261,7 +262,9 @@ class Service:
         return self._replaced
 
     def _made_by(self) -> m.Replaced | None:
-        """What to tell of the recorder's rows once the program that is loaded is gone."""
+        """What a reader of the recorder's rows needs to know of their program once it is no longer
+        loaded.
+        """
         if self._replaced is not None or not self._recorded:
             return self._replaced
         program = self.do_program(verbs.Nothing(), "")
@@ -287,7 +290,8 @@ class Service:
     # live
 
     def open_live(self, args: verbs.LiveOpen, by: str, user: str) -> m.LiveOpened:
-        """Answer ``live_open``: the key is that of the name under which the host is known."""
+        """Answer ``live_open``; the stream's key contains the name under which the host is known.
+        """
         stream = self.live.open(
             args.channels, args.decimation, args.interval, args.window, by, user
         )
@@ -305,8 +309,8 @@ class Service:
         return m.Empty()
 
     def host_gone(self, host: str) -> None:
-        """Give back what a vanished host held; the program goes on, unless that host commanded or
-        moved the machine (see ``runs`` and ``drives``).
+        """Release what a lost host held. The program goes on, unless that host commanded or moved
+        the machine (see ``runs`` and ``drives``).
         """
         self.runs.host_gone(host)
         self.live.forget(host)
@@ -320,5 +324,5 @@ def _version(package: str) -> str:
 
 
 def identity(name: str, machine: str) -> Identity:
-    """Who this target is, from now on."""
+    """The identity of a target that starts now."""
     return Identity(keys.check_name(name), machine, time.time())

@@ -1,4 +1,4 @@
-"""Requests that wait: those who asked take turns, however many requests one of them sends."""
+"""The queue of requests: those who ask take turns, however many requests one of them sends."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ SHARE = 256  # of one who asks
 
 
 def asker(query: Any) -> str | bytes:
-    """Who asks: a user who is known by name; of the target's own user, a connection, where the
-    request says which.
+    """Who asks: a user who is known by name; of the target's own user, a connection where the
+    request names it.
     """
     user = keys.user_of(str(query.key_expr))
     if user or query.attachment is None:
@@ -25,11 +25,12 @@ def asker(query: Any) -> str | bytes:
 
 
 class Turns:
-    """What a lane has still to answer; safe from any thread.
+    """The requests that a lane has still to answer; safe from any thread.
 
-    What overflows is let go of, and its sender asks again: one that held back the sender would hold
-    back others too, for the few threads in which Zenoh receives would all wait there, and STOP with
-    them. Of one who has too many the oldest goes; where all together have, of the one who has most.
+    What does not fit is dropped, and its sender asks again. Holding the sender back instead would
+    block the few threads in which Zenoh receives, and STOP with them. Of an asker with too many
+    requests the oldest is dropped; where all together have too many, the oldest of whoever has
+    most.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ class Turns:
         self._asleep: list[None] = []
 
     def next(self) -> Any:
-        """Return the next request; waits for one.
+        """Wait for a request and return it.
 
         Raises
         ------

@@ -1,5 +1,5 @@
-"""Large arrays on their way in: chunks are checked, kept in order, and applied in one sample when
-complete.
+"""Large arrays sent to the target: chunks are checked, kept in order, and applied in one sample
+when complete.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOST = 8  # uploads under way at once
 
 @dataclass
 class Upload:
-    """One array on its way in."""
+    """One array that is being received."""
 
     name: str
     dtype: str
@@ -42,7 +42,7 @@ class Uploads:
         self._open: dict[int, Upload] = {}
 
     def begin(self, name: str, dtype: str, length: int, checksum: int) -> int:
-        """Make room for an array and return its number.
+        """Reserve memory for an array and return the upload's number.
 
         Raises
         ------

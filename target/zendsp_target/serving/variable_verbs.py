@@ -48,7 +48,9 @@ class VariableVerbs:
         return self._read(args)
 
     def _shown(self, sequence: int, timeout: float) -> bool:
-        """Wait until an update is seen, or never will be; False where it still may."""
+        """Wait until an update can be read or never will be; False where neither is so within the
+        timeout.
+        """
         try:
             self.runtime.wait_applied(sequence, timeout)
         except NotYet:
@@ -94,7 +96,7 @@ class VariableVerbs:
         return self.runtime.log(args.since)
 
     def _unpacked(self, given: Mapping[str, values.WireValue]) -> Mapping[str, Value]:
-        """Turn what came over the wire into numbers and arrays."""
+        """The values of a request as numbers and arrays."""
         try:
             plain = {name: values.from_wire(value) for name, value in given.items()}
         except ValueError as error:
@@ -102,7 +104,7 @@ class VariableVerbs:
         return self._shaped(plain)
 
     def _shaped(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
-        """Give the values of a table that came flat their rows and columns back."""
+        """The values, with rows and columns restored for tables that came flat."""
         flat = {n: v for n, v in given.items() if isinstance(v, np.ndarray) and v.ndim == 1}
         infos = self.runtime.variables()
         columns = {i.name: i.columns for i in infos if i.kind == VariableKind.TABLE}
@@ -138,7 +140,7 @@ class VariableVerbs:
 
 
 def fade_of(runtime: RuntimeApi, seconds: float) -> int:
-    """Return the samples of a fade; 0 while nothing runs.
+    """The number of samples of a fade; 0 while nothing runs.
 
     Raises
     ------
@@ -152,12 +154,13 @@ def fade_of(runtime: RuntimeApi, seconds: float) -> int:
 
 
 def applied(runtime: RuntimeApi, sequence: int) -> m.Applied:
-    """Answer once an update is in effect; another thread does where that takes long."""
+    """The reply to an update, once it is in effect. Where that takes long, another thread sends it.
+    """
     return m.Applied(sequence=sequence, tick=applied_at(runtime, sequence))
 
 
 def applied_at(runtime: RuntimeApi, sequence: int) -> int:
-    """Return the sample at which an update took effect.
+    """The sample at which an update took effect.
 
     Raises
     ------
@@ -175,8 +178,8 @@ def applied_at(runtime: RuntimeApi, sequence: int) -> int:
 
 
 def _light(info: m.VariableInfo) -> m.VariableInfo:
-    """Shorten the initial value of a large array that is one value throughout: a table of zeros is
-    not worth megabytes.
+    """The variable, with its initial value shortened where it is a large array of one value: a
+    table of zeros is not worth megabytes.
     """
     initial = info.initial
     if (

@@ -1,5 +1,5 @@
-"""The shared memory as Python sees it: cffi reads the runner's own headers, so there is one layout
-and no second copy of it.
+"""The layout of the shared memory, read by cffi from the runner's own headers: there is no second
+copy of it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from zendsp_isr.parts import build_monitor
 
 
 def _declarations(text: str) -> str:
-    """A header without preprocessor lines and static asserts: what cffi can parse."""
+    """A header without preprocessor lines and static asserts, which cffi can parse."""
     text = re.sub(r"^\s*#.*$", "", text, flags=re.MULTILINE)
     return re.sub(r"^_Static_assert[^;]*;", "", text, flags=re.MULTILINE)
 
@@ -48,7 +48,7 @@ _HELD: weakref.WeakKeyDictionary[Any, tuple[Any, ...]] = weakref.WeakKeyDictiona
 
 
 def struct(kind: str, **fields: Any) -> Any:
-    """A new C struct whose pointers stay good as long as it lives: it holds what they lead to."""
+    """A new C struct that keeps alive what its pointers point to."""
     made = layout()[0].new(f"{kind} *", fields)
     _HELD[made] = tuple(fields.values())
     return made

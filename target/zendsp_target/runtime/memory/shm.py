@@ -1,5 +1,5 @@
-"""Files in shared memory: plain ``mmap`` on ``/dev/shm``, in a folder that its owner's lock marks
-as alive.
+"""Files in shared memory: plain ``mmap`` on ``/dev/shm``, in a folder with a lock that its owner
+holds as long as it runs.
 
 Not ``multiprocessing.shared_memory``: its resource tracker deletes a segment when a process that
 merely attached exits.
@@ -25,8 +25,8 @@ from zendsp_target.runtime.memory.layout import layout
 
 
 def _clear_abandoned() -> tuple[list[Kept], list[Kept]]:
-    """Remove what targets left that were killed; recorded rows of the last few stay. Returns what
-    stays and what went of these.
+    """Remove what killed targets left behind, except for the rows that the last few had recorded.
+    Returns the recordings that stay and those that were removed.
     """
     with kept.abandoned() as folders:
         found: list[tuple[float, Path, Kept]] = []
@@ -47,7 +47,7 @@ def _clear_abandoned() -> tuple[list[Kept], list[Kept]]:
 
 
 def _available_memory() -> int:
-    """Bytes that programs may still take, as the kernel reckons."""
+    """Bytes that programs may still take, as the kernel estimates."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         return next(
@@ -77,12 +77,14 @@ class SharedFolder:
         making.rename(self.path)
 
     def free_bytes(self) -> int:
-        """Bytes that still fit, into the file system and into memory, which it is made of."""
+        """Bytes that still fit, both into the file system and into the memory behind it."""
         status = os.statvfs(self.path)
         return min(status.f_bavail * status.f_frsize, _available_memory())
 
     def close(self) -> None:
-        """Remove the folder and all files in it; mappings stay valid until they are dropped."""
+        """Remove the folder and all files in it; what is mapped stays readable until it is
+        unmapped.
+        """
         shutil.rmtree(self.path, ignore_errors=True)
         self._lock.close()
 
@@ -130,7 +132,9 @@ class SharedFile:
         return ffi.cast(f"{type_name} *", self._buffer + offset)
 
     def reader(self) -> Path:
-        """A path by which other processes of this user can read the file, also without its name."""
+        """A path by which other processes of this user can read the file, even after its name was
+        removed.
+        """
         file = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
         weakref.finalize(self, os.close, file)
         return Path(f"/proc/{os.getpid()}/fd/{file}")

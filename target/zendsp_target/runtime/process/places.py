@@ -1,5 +1,5 @@
-"""Where a loop runs and how long it waits awake, beside the other loops of this user here: each on
-a CPU of its own while there are enough, and where CPUs are shared only the first on each awake.
+"""On which CPU each loop of this user runs and how long it waits awake. Each has a CPU of its own
+while there are enough; where loops share a CPU, only the first one on it waits awake.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ _MOST = 1000  # loops of one user
 
 
 class Place:
-    """Number of a loop among those of this user on this computer: the smallest that is free. It is
-    a lock on a file, so whoever dies gives it back.
+    """The number of a loop among those of this user on this computer: the smallest that is free. It
+    is a lock on a file, so that a process that dies gives it back.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Place:
 
 
 def make_urgent(loop: int, settings: Settings) -> int:
-    """Give a loop SCHED_RR and a CPU of its own, where the system lets us.
+    """Give a loop SCHED_RR and a CPU of its own, where the system permits it.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def make_urgent(loop: int, settings: Settings) -> int:
 
 
 def placed(settings: Settings, place: Place) -> Settings:
-    """Choose what the settings leave open: CPU and waiting awake.
+    """The settings, with the CPU and the time awake filled in where they are left open.
 
     Parameters
     ----------

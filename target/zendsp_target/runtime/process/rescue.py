@@ -1,7 +1,7 @@
 """A process that waits to bring the machine into its safe state.
 
-It is started with the runner. Once something has gone wrong it may be too late to start a process:
-there may be no memory left, or no open file (hosts that connect again and again use these up).
+It is started together with the runner. Once something has gone wrong, starting a process may fail
+for want of memory or of file descriptors (hosts that connect again and again use these up).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ NOT_SAFE = "the machine is NOT SAFE: use the machine's emergency stop"
 
 
 class Rescue:
-    """Waits until it is wanted, or dismissed. Where this process is killed, it sees to it that the
-    runner ends, and makes the machine safe.
+    """Waits until it is needed or dismissed. If this process is killed, it ends the runner and
+    makes the machine safe.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Rescue:
         )
 
     def guard(self, runner: int) -> None:
-        """Be told of the runner, by its process id."""
+        """Tell it the process id of the runner."""
         with contextlib.suppress(OSError):  # it was ended: there is another when it is wanted
             self._tell(runner)
 
@@ -58,7 +58,7 @@ class Rescue:
         self._process.stdin.write(number.to_bytes(4, sys.byteorder))
 
     def act(self) -> str:
-        """Make the machine safe, now; returns what to tell where that failed, else nothing."""
+        """Make the machine safe now. Returns why that failed, or an empty string."""
         try:
             if self._process.poll() is not None:  # it has been wanted before, or was ended
                 self._process = self._begin()
@@ -76,7 +76,7 @@ class Rescue:
         return why and f"{NOT_SAFE} ({why})"
 
     def dismiss(self) -> None:
-        """End it: it is not wanted any more."""
+        """End it; it is no longer needed."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._tell(0)

@@ -88,8 +88,8 @@ def _control_file(
 
 
 def look_at(settings: Settings, folder: Path) -> str:
-    """Open a machine in a process of its own and close it again: what is wrong with it is said
-    before a program is loaded.
+    """Open and close a machine in a process of its own, so that an error is reported before a
+    program is loaded.
 
     Parameters
     ----------
@@ -135,8 +135,8 @@ def look_at(settings: Settings, folder: Path) -> str:
 
 
 class RunnerProcess:
-    """One runner with its control and data files; ready, its UserInit done, when the constructor
-    returns.
+    """One runner with its control and data files. When the constructor returns, the runner is ready
+    and UserInit is done.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ class RunnerProcess:
         return not self._ended(self.handle)
 
     def wait_death(self, timeout_s: float) -> bool:
-        """Sleep until the process ends.
+        """Wait until the process ends.
 
         Returns
         -------
@@ -308,7 +308,7 @@ class RunnerProcess:
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
 
     def _stands_still(self) -> bool:
-        """Whether the system has it stopped."""
+        """Whether the system has stopped the process (SIGSTOP)."""
         try:
             stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
         except OSError:
@@ -316,8 +316,8 @@ class RunnerProcess:
         return stat.rpartition(")")[2].split()[0] in ("T", "t")
 
     def _status(self) -> int | None:
-        """Exit status of a process that has ended; `poll` alone answers None while another thread
-        is asking.
+        """Exit status of a process that has ended. `poll` cannot be used alone: it answers None
+        while another thread is asking.
         """
         try:
             return self._process.wait(2.0)
@@ -325,7 +325,7 @@ class RunnerProcess:
             return None
 
     def _line(self) -> str:
-        """ " at pd.c:42" for a crash within the program, "" where that cannot be told."""
+        """The place of a crash within the program, as " at pd.c:42"; "" where it is not known."""
         address = int(self.control.crash_address)
         tool = shutil.which("addr2line")
         if not address or tool is None:
@@ -339,7 +339,9 @@ class RunnerProcess:
         return f" at {place}" if place and "?" not in place else ""
 
     def quit(self) -> None:
-        """Ask it to end: machine safe, then gone; killed if it does not answer in time."""
+        """Ask the runner to make the machine safe and end. It is killed if it does not answer in
+        time.
+        """
         _, lib = layout()
         if self.alive():
             lib.monitor_run(ffi_pointer(self.control), lib.RUN_QUIT)
@@ -352,7 +354,7 @@ class RunnerProcess:
         self.end_group()
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill it at once."""
         with contextlib.suppress(ProcessLookupError):
             self._process.send_signal(signal.SIGSTOP)  # it starts nothing more
         self.end_group()
@@ -362,13 +364,14 @@ class RunnerProcess:
             self._process.wait(KILLED_S)
 
     def look(self) -> None:
-        """Note what it started, where the system could not refuse that."""
+        """Note the processes that user code started, where the system cannot forbid starting them.
+        """
         if not self._contained:
             self._strays.look()
 
     def end_group(self) -> None:
-        """End what it started, where the system could not refuse that: its process group, and what
-        left it.
+        """End the processes that user code started, where the system cannot forbid starting them:
+        the process group, and those that left it.
         """
         if not self._contained:
             self._strays.end()
@@ -376,9 +379,10 @@ class RunnerProcess:
             os.killpg(self.pid, signal.SIGKILL)
 
     def make_safe(self) -> str:
-        """Bring real hardware into its safe state by the process that waits for that; a simulated
-        machine ended with its runner. Returns what to tell where it failed, else nothing; done
-        already, it is not done again.
+        """Bring real hardware into its safe state, by the process that waits for that; a second
+        call does nothing. Returns why it failed, or an empty string.
+
+        A simulated machine ended with its runner.
         """
         with self._making_safe:
             if self.unsafe:
@@ -386,8 +390,8 @@ class RunnerProcess:
             return self.unsafe
 
     def unlink(self) -> None:
-        """Remove the names of the files, and who waits to make the machine safe; what was mapped
-        stays readable.
+        """Remove the names of the files and dismiss the rescue process; what was mapped stays
+        readable.
         """
         self._rescue.dismiss()
         self.control_file.unlink()

@@ -13,10 +13,10 @@ LINE = 4096  # characters at the most
 
 
 def open_said() -> int:
-    """Return the end of a pipe for a runner; lines that come out of it are written to standard
-    error, with every character written out that a terminal would obey.
+    """Return the writing end of a pipe for a runner. Its lines are written to this process's
+    standard error, with control characters spelled out so that no terminal obeys them.
 
-    What nobody takes is lost: a loop never waits for it.
+    What does not fit into the pipe is lost: a loop never waits for a reader.
     """
     read, write = os.pipe()
     os.set_blocking(write, False)

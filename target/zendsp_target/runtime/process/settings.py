@@ -1,5 +1,5 @@
-"""How a runner runs: rate, clock, scheduling, watchdog; checked here, and read from text where a
-command line gives it.
+"""The settings of a runner: rate, clock, scheduling, watchdog. They are checked here, and read from
+text where a command line gives them.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ class Settings:
 
 
 def split_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Options as a command line gives them: fields of `Settings`, as text or as values, and
-    ``machine.KEY``.
+    """Split the options of a command line into fields of `Settings`, as text or as values, and
+    settings ``machine.KEY`` of the machine.
 
     Returns
     -------

@@ -1,5 +1,5 @@
-"""Processes that user code started where the system has no filter of system calls: found, and ended
-with their runner.
+"""Processes that user code started on a system without a filter of system calls: they are found and
+ended with their runner.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Process = tuple[int, str]  # its number, and when it was born: numbers are given
 
 
 class Strays:
-    """What one runner started.
+    """The processes that one runner started.
 
     Parameters
     ----------
@@ -34,13 +34,13 @@ class Strays:
         self._seen: set[Process] = set()
 
     def look(self) -> None:
-        """Note what is beneath the runner now: one that took the mark off is known when the runner
-        is dead.
+        """Note the processes that descend from the runner now: one that removes the mark from its
+        environment is then known when the runner is dead.
         """
         self._seen |= _beneath(self._runner)
 
     def end(self) -> None:
-        """End all of them; those that start more meanwhile as well."""
+        """End all of them, and those that they start meanwhile."""
         for _ in range(ROUNDS):
             self.look()
             left = {
@@ -81,8 +81,8 @@ def _beneath(number: int) -> set[Process]:
 
 
 def _paths(root: str, pattern: str) -> list[Path]:
-    """The processes there are; none while no file is left to look with: a runner that died is made
-    safe all the same.
+    """The paths under ``/proc`` that fit a pattern; none where this process has no file descriptor
+    left to look with, so that a dead runner's machine is made safe all the same.
     """
     try:
         return list(Path(root).glob(pattern))

@@ -1,5 +1,5 @@
-"""Watch one runner: see it die at once, end it when it hangs, and bring the machine into its safe
-state.
+"""Watches one runner: notices at once when it dies, ends it when it hangs, and brings the machine
+into its safe state.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _ROUND_S = 0.05
 
 
 def processor(pid: int) -> tuple[bool, float]:
-    """Whether a process's first thread runs or would if it were given a processor, and the time
-    that it has had of one, s.
+    """Whether a process's first thread is running or ready to run, and the processor time that it
+    has had, s.
     """
     task = Path(f"/proc/{pid}/task/{pid}")
     try:
@@ -34,8 +34,8 @@ def processor(pid: int) -> tuple[bool, float]:
 
 
 def _do(each_round: Callable[[], None]) -> None:
-    """What fails in a round, for want of memory say, ends no watch: else nobody would see the
-    runner die, and make its machine safe.
+    """Call ``each_round`` and log what it raises. An error, for want of memory for example, must
+    not end the watch: nobody would then see the runner die and make its machine safe.
     """
     try:
         each_round()
@@ -68,7 +68,7 @@ class Supervisor:
         self._thread = start_thread("supervisor", partial(self._run, each_round, on_death))
 
     def expect_end(self) -> None:
-        """The runner is about to be ended on purpose."""
+        """Note that the runner is about to be ended on purpose."""
         self._expected.set()
 
     def join(self, timeout_s: float = 5.0) -> None:
@@ -107,10 +107,12 @@ class Supervisor:
             on_death("; ".join(filter(None, (self._process.death(), unsafe))))
 
     def _lost(self, passed: float) -> float:
-        """How much of a round counts against a loop that has not moved, s.
+        """How much of the last ``passed`` seconds counts as hanging, for a loop that did no sample
+        in them.
 
-        On a simulated machine, what it had of a processor or was not waiting for one: a busy
-        computer is no program that hangs. Hardware is not left alone, whatever the reason.
+        For a simulated machine this is the time in which the loop had a processor or did not wait
+        for one: on a busy computer a program that waits for its turn does not hang. For hardware
+        all of it counts, whatever the reason.
         """
         if not self._process.simulated:
             return passed

@@ -12,7 +12,7 @@ from zendsp_target.runtime.variables.values import FloatArray
 
 
 class Banks:
-    """The tables of one load; one caller at a time.
+    """The tables of one load; for one caller at a time.
 
     Parameters
     ----------
@@ -27,7 +27,9 @@ class Banks:
         self._newest: dict[int, int] = {}  # bank that a table's newest update names, by variable
 
     def rows(self, place: Place) -> Value:
-        """Rows of a table as they stand: whole, while nobody fills a bank."""
+        """The rows of a table that are in use. They are whole unless a bank is being filled
+        meanwhile.
+        """
         entry = place.entry
         word = int(self._control.variable[entry.index].table)
         rows, columns = min(word & 0xFFFFFFFF, entry.rows), entry.info.columns
@@ -36,7 +38,8 @@ class Banks:
         return found.view("<f8").reshape(rows, columns)
 
     def fill(self, place: Place, rows: FloatArray) -> tuple[int, int]:
-        """Write a table into the bank that the loop does not read; returns the bank and the rows.
+        """Write a table into the bank that the loop does not read; return the bank and the number
+        of rows.
         """
         index = place.entry.index
         word = int(self._control.variable[index].table)
@@ -48,5 +51,5 @@ class Banks:
         return bank, rows.shape[0]
 
     def forget(self, index: int) -> None:
-        """The newest update of a table will never be: its bank is free."""
+        """Free the bank of an update that was cancelled."""
         self._newest.pop(index, None)

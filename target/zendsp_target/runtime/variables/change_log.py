@@ -1,5 +1,5 @@
-"""The log of what was changed: every change of a parameter, with its sample, old and new value, and
-who made it.
+"""The log of changes: every change of a parameter, with its sample, the old and the new value, and
+its author.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _MOST_BYTES = 64 << 20  # of their values: of long arrays, so many lines would f
 
 
 class Flight(msgspec.Struct, frozen=True):
-    """A batch that was committed and not yet harvested; a struct of msgspec, which is made in C at
-    each write.
+    """A batch that was committed and whose old values are not yet fetched. It is a struct of
+    msgspec, since one is made at each write.
     """
 
     slot: int
@@ -37,12 +37,11 @@ class Flight(msgspec.Struct, frozen=True):
 
 
 class ChangeLog:
-    """Every change of a parameter, in the order in which it was harvested; shared by all loads of a
-    target.
+    """Every change of a parameter, in the order of the samples; all loads of a target share it.
 
-    A batch is kept as bytes when it comes back. It is put into words a few at a time, the rest when
-    somebody asks: hundreds of updates a second of many variables each would otherwise keep the
-    interpreter from its requests.
+    A batch is kept as bytes when it comes back from the loop. Its lines are written a few at a
+    time, and all that remain when somebody asks for the log: otherwise hundreds of updates a
+    second, of many variables each, would keep the interpreter from answering requests.
     """
 
     def __init__(self) -> None:
@@ -55,8 +54,8 @@ class ChangeLog:
         self._lock = threading.Lock()
 
     def append(self, flight: Flight, tick: int, old: bytes) -> None:
-        """Add a batch that took effect at a sample, with the old values in the form of a batch. One
-        caller at a time.
+        """Add a batch that took effect at sample ``tick``, with the old values in the form of a
+        batch. For one caller at a time.
         """
         count = len(flight.places) - len(cut_short(flight, old))
         self._raw.append((flight, tick, old, count))
@@ -64,7 +63,7 @@ class ChangeLog:
         self._bytes_came += 2 * flight.size
 
     def settle(self, most: int = _MAX_LOG) -> None:
-        """Put what has come in into words: about ``most`` lines."""
+        """Write the lines of the batches that came in: about ``most`` of them."""
         with self._lock:
             done = 0
             while self._raw and done < most:
@@ -87,7 +86,7 @@ class ChangeLog:
                 done += count
 
     def since(self, number: int) -> tuple[Change, ...]:
-        """Lines from number `number` on (0: all that are kept)."""
+        """The lines from number `number` on; 0: all that are kept."""
         self.settle(2 * _MAX_LOG)
         with self._lock:
             dropped = self._worded - len(self._lines)
@@ -95,7 +94,9 @@ class ChangeLog:
 
 
 def cut_short(flight: Flight, old: bytes) -> set[int]:
-    """Entries of a batch whose fade a later update ended: their values were never reached."""
+    """Numbers of the entries of a batch whose fade was ended by a later update: they never reached
+    their values.
+    """
     if not flight.fade:
         return set()
     at, new, found = 0, flight.entries(), set[int]()
@@ -124,7 +125,7 @@ def _changes(flight: Flight, tick: int, old: bytes) -> list[Change]:
 
 
 def _shown(place: Place, data: bytes, offset: int) -> Value:
-    """A value for the log; a table is logged by its number of rows."""
+    """A value as the log shows it; of a table, its number of rows."""
     if place.entry.info.kind == VariableKind.TABLE:
         rows: int = SCALARS["int32"].unpack_from(data, offset + 4)[0]
         return rows

@@ -1,4 +1,4 @@
-"""The dictionary that the running code declares: names, types, limits, and where each value stands
+"""The variables that the running code declares: names, types, limits, and where each value stands
 in a snapshot.
 """
 
@@ -37,7 +37,7 @@ _ELEMENT = re.compile(r"^(?P<name>.+?)\[(?P<index>[0-9]{1,9})(?:, ?(?P<column>[0
 
 @dataclass(frozen=True)
 class Entry:
-    """One variable: what the host may know (`info`), and where it is."""
+    """One variable: what the host is told (`info`), and where the variable is."""
 
     info: VariableInfo
     index: int  # in the runner's dictionary
@@ -58,7 +58,7 @@ class Entry:
 
     @property
     def words(self) -> str:
-        """How many elements it has."""
+        """The number of its elements."""
         if self.matrix:
             return f"{self.rows} rows of {self.info.columns}"
         return f"{self.info.length} elements"
@@ -85,7 +85,7 @@ class Place:
 
 
 def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes | bytearray, offset: int) -> Value:
-    """Decode a value at an offset: a Python number, or a copy of an array.
+    """The value at an offset: a Python number, or a copy of an array.
 
     Parameters
     ----------
@@ -156,8 +156,8 @@ class Dictionary:
         return tuple(entry.info for entry in self.entries.values() if entry.info.kind in kinds)
 
     def place(self, name: str, others: int = 0) -> Place:
-        """Find a variable (``"Kp"``) or an element (``"q[0]"``; of a matrix ``"K[1,2]"``, or one
-        index that counts row after row).
+        """The variable (``"Kp"``) or element (``"q[0]"``; of a matrix ``"K[1,2]"``, or one index
+        that counts row after row) of a name.
 
         Parameters
         ----------

@@ -1,8 +1,8 @@
-"""Updates under way: from their slot in shared memory until the loop has applied them, who waits
-for them knows it, and the log has them.
+"""Updates under way, from their slot in shared memory until the loop has applied them, those who
+wait for them are told, and the log has them.
 
-The loop exchanges values when it applies a batch, so the old ones come back exactly as they were at
-that sample.
+The loop exchanges values when it applies a batch, so the slot then holds the old values exactly as
+they were at that sample.
 """
 
 from __future__ import annotations
@@ -98,13 +98,13 @@ class Flights:
         self._written: dict[int, Flight | None] = {}
 
     def variables(self) -> set[int]:
-        """Variables that updates under way write."""
+        """Indices of the variables that updates under way write."""
         return {
             place.entry.index for flight in self.under_way.values() for _, place in flight.places
         }
 
     def take_slot(self, tables: bool, late: bool) -> int:
-        """Take a free slot; with the lock held.
+        """Take a free slot; the caller holds the lock.
 
         Raises
         ------
@@ -129,8 +129,8 @@ class Flights:
         return self.free.pop()
 
     def enter(self, flight: Flight, done: bool) -> int:
-        """Enter a batch that the loop has now; or that it cannot have, its runner being gone.
-        Returns its number; with the lock held.
+        """Enter a batch that was handed to the loop, or that it will never apply because its runner
+        has ended. Returns the batch's number; the caller holds the lock.
         """
         if not done:
             self.free.append(flight.slot)
@@ -140,7 +140,7 @@ class Flights:
         return self.sequence
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
-        """Sleep until a batch has taken effect, and whoever reads from here on gets its values.
+        """Wait until a batch has taken effect and its values can be read; return its sample.
 
         Parameters
         ----------
@@ -200,8 +200,8 @@ class Flights:
                 )
 
     def _tick_of(self, sequence: int, shown: bool) -> int | None:
-        """The sample at which a batch took effect, which is known where it is `shown`; it is left
-        to be taken back by whoever has time.
+        """The sample at which a batch took effect, None where it has not yet; ``shown``: it surely
+        has. The slot is not taken back here.
         """
         flight = self.under_way.get(sequence)
         if flight is None:
@@ -212,7 +212,8 @@ class Flights:
         return _CANCELLED if batch.state == self._cancelled else int(batch.applied)
 
     def _in_effect(self, slot: int) -> bool:
-        """A batch was applied, and its values can be read; or are the last ones that a runner took.
+        """Whether a batch was applied and its values can be read, or its runner has ended after
+        applying it.
         """
         if self._lib.monitor_shown(self._pointer, self.batches[slot]):
             return True
@@ -221,15 +222,17 @@ class Flights:
         return not self._alive() and self._lib.monitor_load32(self._states[slot]) >= applied
 
     def harvest(self) -> None:
-        """Take back the batches that were applied, and write the log."""
+        """Take back the batches that were applied, and write their lines of the log."""
         with self.lock:
             self.take_back()
         self._log.settle(_WORDED_AT_ONCE)
 
     def take_written(self, shown: Callable[[], None]) -> dict[int, bytes | None]:
-        """Call ``shown`` while nothing is committed; returns the variables that were written since
-        the last call, and of single numbers what was. None: of an array, or about to be, or by a
-        fade that was cut short.
+        """Return the variables that were written since the last call, with the bytes that were
+        written; call ``shown`` while nothing is committed.
+
+        None in place of the bytes: an array, an update that still waits, or a fade that was cut
+        short.
         """
         with self.lock:
             self.take_back()
@@ -250,7 +253,7 @@ class Flights:
         return found | dict.fromkeys(waiting)
 
     def take_back(self) -> None:
-        """Take back the batches that were applied; with the lock held."""
+        """Take back the batches that were applied; the caller holds the lock."""
         # What the loop applies while this looks is left for the next time: else a later batch
         # could be seen, and logged, before an earlier one.
         done = self._applied_by(self._lib.monitor_load64(self._newest))
@@ -285,8 +288,8 @@ class Flights:
             del self._applied[next(iter(self._applied))]
 
     def cancel(self, whose: Callable[[str], bool]) -> None:
-        """Have updates of these authors that wait for a later sample wait no more: the loop gives
-        them back.
+        """Cancel the updates of these authors that wait for a later sample; the loop gives their
+        batches back.
         """
         with self.lock:
             flights = [f for f in self.under_way.values() if f.late and whose(f.author)]
@@ -297,8 +300,8 @@ class Flights:
                 self._lib.monitor_store32(self._cancels, cancels)
 
     def _applied_by(self, newest: int) -> list[int]:
-        """Numbers of the batches that are applied and that snapshot ``newest`` shows, in the order
-        in which the loop applied them.
+        """Numbers of the batches that are applied and shown by snapshot ``newest``, in the order in
+        which the loop applied them.
         """
         found = []
         for sequence, flight in self.under_way.items():

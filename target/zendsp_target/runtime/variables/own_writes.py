@@ -1,5 +1,7 @@
-"""Parameters that the program itself sets: what a host writes to them does not last, and their
-limits do not hold. Seen from outside the loop, which copies all values anyway.
+"""Parameters that the program itself sets: values that a host writes to them do not last, and their
+limits do not hold.
+
+They are found from outside the loop, which copies all values in any case.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ _TOLD = 8  # sentences at most: they travel with every status
 
 
 class OwnWrites:
-    """What changed between two looks and was not written from outside.
+    """Finds the parameters that changed between two snapshots though no host wrote them.
 
     Parameters
     ----------
@@ -39,7 +41,7 @@ class OwnWrites:
         return tuple(self._found.values())
 
     def look(self, values: npt.NDArray[np.uint8], written: Mapping[int, bytes | None]) -> None:
-        """Compare a snapshot with that of the look before.
+        """Compare a snapshot with the one before.
 
         Parameters
         ----------

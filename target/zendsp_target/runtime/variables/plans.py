@@ -1,9 +1,9 @@
-"""Prepared work for repeated names: a host that tunes or watches asks for the same ones thousands
-of times.
+"""Prepared readings and updates for names that come again: a host that tunes or watches asks for
+the same ones thousands of times.
 
 A plan holds what does not change while a program is loaded: where each value stands, its limits,
-the bytes around it. Every update goes through one; a reading that no plan fits goes the long way
-(``dictionary``).
+the bytes around it. Every update uses one. A reading for which there is no plan is decoded by
+``dictionary``.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def set_part(part: Any, place: Place, rows: int | None = None) -> None:
 
 
 class WritePlan:
-    """An update of always the same variables.
+    """An update of the same variables, with new numbers each time.
 
     Parameters
     ----------
@@ -103,12 +103,14 @@ class WritePlan:
         )
 
     def put(self, numbers: Iterable[npt.NDArray[np.float64]]) -> None:
-        """As ``fill``, for variables that may be arrays; of a table, its bank and rows."""
+        """As ``fill``, where some variables are arrays; of a table, give its bank and number of
+        rows.
+        """
         self._given[:] = np.concatenate(list(numbers), dtype="<f8").tobytes()
 
     def given(self) -> Callable[[], bytes]:
-        """Return what makes the batch's entries, for the log, of the numbers that were filled in
-        last.
+        """Return a function that makes the batch's entries for the log, of the numbers that were
+        filled in last.
         """
         return partial(self._entries, bytes(self._given))
 
@@ -122,8 +124,8 @@ class WritePlan:
     def again(
         self, ended: Any, request: Blank, reply: Blank
     ) -> Callable[[bytes, Any, int, int], int] | None:
-        """Make ``commit`` for requests that differ in their doubles only: takes request, batch,
-        slot and sequence, and fills the reply.
+        """Return a ``commit`` for requests that differ only in their doubles: it takes request,
+        batch, slot and sequence, and fills the reply.
         """
         if len(request.values) != len(self.places) or not all(p.plain for _, p in self.places):
             return None
@@ -142,13 +144,13 @@ class WritePlan:
         return partial(self._lib.monitor_write_again, again)
 
     def entries_of(self, places: Iterable[int], request: bytes) -> bytes:
-        """The batch's entries, for the log, of a request that came again."""
+        """The batch's entries for the log, of a request that came again."""
         numbers = (SCALARS["double"].pack(*IN_MESSAGE.unpack_from(request, at)) for at in places)
         return self._entries(b"".join(numbers))
 
 
 class ReadPlan:
-    """A reading of variables that are no tables, always the same ones.
+    """A reading of the same variables, tables excepted.
 
     Parameters
     ----------
@@ -182,8 +184,8 @@ class ReadPlan:
     def again(
         self, ended: Any, control: Any, data: Any, slots_at: int, stride: int, reply: Blank
     ) -> Callable[[], int] | None:
-        """Make what fills a reply with the newest sample, unless there are other types than
-        doubles.
+        """Return a function that fills a reply with the newest sample; None where a variable is no
+        double.
 
         Parameters
         ----------
@@ -226,7 +228,7 @@ class ReadPlan:
         return partial(lib.monitor_read_again, again)
 
     def read(self, newest: Any, slots: Any, stride: int) -> tuple[int, dict[str, Value]] | None:
-        """Read the newest sample: its tick, and the values; None while there is none.
+        """The tick and the values of the newest sample; None while there is none.
 
         Parameters
         ----------

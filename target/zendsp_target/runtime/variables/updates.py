@@ -61,7 +61,7 @@ class Updates:
         *,
         settings: bool = False,
     ) -> int:
-        """Check everything, then commit it as one batch.
+        """Check all values, then commit them as one batch.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class Updates:
             return flights.enter(flight, done == 1)
 
     def _plan(self, values: Mapping[str, object], settings: bool) -> WritePlan:
-        """What is ready for these names, or is made so."""
+        """The plan for these names, made where there is none yet."""
         names = tuple(values)
         plan = self._plans[settings].get(names)
         if plan is None:
@@ -152,7 +152,7 @@ class Updates:
         return plan
 
     def _numbers(self, values: Mapping[str, object], settings: bool) -> list[FloatArray]:
-        """The numbers of every variable, or one line for each that is wrong."""
+        """The numbers of every variable; where some are wrong, an error with one line for each."""
         found: list[FloatArray] = []
         problems: list[str] = []
         for name, value in values.items():
@@ -167,7 +167,7 @@ class Updates:
         return found
 
     def check(self, values: Mapping[str, object], at_tick: int | None = None) -> None:
-        """Raise what `write` would raise for these values; nothing is written."""
+        """Raise what `write` would raise for these values, without writing."""
         _require_sample(at_tick)
         self._numbers(values, False)
 
@@ -179,7 +179,7 @@ class Updates:
         request: Blank,
         reply: Blank,
     ) -> Callable[[bytes], int] | None:
-        """Make what commits doubles again, out of the bytes of a request; see
+        """Return a function that takes doubles out of the bytes of a request and commits them; see
         `RuntimeApi.repeat_write`.
         """
         plan = self._plans[False].get(tuple(names))
@@ -211,8 +211,7 @@ class Updates:
         return write
 
     def _banked(self, plan: WritePlan, numbers: list[FloatArray]) -> list[FloatArray]:
-        """Put the rows of tables into their banks; what the batch holds is bank and number of rows.
-        """
+        """Put the rows of tables into their banks; the batch then holds bank and number of rows."""
         waiting = self._flights.variables()
         for name, place in plan.places:  # all of them before the first bank is touched
             if place.entry.info.kind == VariableKind.TABLE and place.entry.index in waiting:

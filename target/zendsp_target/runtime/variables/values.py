@@ -1,8 +1,8 @@
-"""Values as a host gives them, as numbers to write; and the words for what cannot be written, one
-line for each variable.
+"""Turns values that a host gives into numbers to write, and says why a value cannot be written, in
+one line for each variable.
 
-Whether a number fits its variable (limits, NaN, whole numbers) is decided in one place for every
-road that an update can take: ``monitor_fit`` of ``monitor.c``. Here it is asked for the reason.
+Limits, NaN and whole numbers are checked in one place for all updates, ``monitor_fit`` of
+``monitor.c``, which is asked here for the reason.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def numbers_of(name: str, place: Place, value: object) -> FloatArray:
 
 
 def check_kind(name: str, place: Place, settings: bool) -> None:
-    """Raise VariableError unless a variable may be written; settings of the runtime only by its own
-    verbs.
+    """Raise VariableError unless a variable may be written. Settings of the runtime are written by
+    their own verbs only.
     """
     kind = place.entry.info.kind
     if (kind == VariableKind.SETTING) != settings:
