@@ -1,4 +1,4 @@
-"""Targets of this user on this machine, as they have registered themselves."""
+"""Targets of this user on this computer, by the entries that they register."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def remote_endpoints(connect: str | Sequence[str] | None) -> list[str]:
 
 
 def own_entries(name: str = "", connect: str | Sequence[str] | None = ()) -> list[registry.Entry]:
-    """Targets of this user on this machine that are meant: where endpoints are given, those that
+    """Targets of this user on this computer that are meant; where endpoints are given, those that
     listen there.
     """
     endpoints = {*remote_endpoints(connect)}

@@ -1,5 +1,5 @@
-"""STOP through shared memory: for a target of this user on this computer, past its interpreter and
-past the link.
+"""STOP through shared memory, for a target of this user on this computer: it needs neither the
+target's interpreter nor the link.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ class StopPage:
         self._words = memoryview(self._map).cast("Q")  # read whole, unlike by `struct`
 
     def ask(self) -> int:
-        """STOP, from the next sample on; returns what `taken` wants. Never waits."""
+        """STOP from the next sample on; returns a number for `taken`. Never waits."""
         before = self._words[page.TAKEN // 8]
         self._map[page.BY : page.SIZE] = page.signed(self._author)
         self._map[page.STOP] = 1
         return before
 
     def taken(self, asked: int, timeout: float) -> int | None:
-        """Wait until the loop has taken a STOP that was asked.
+        """Wait until the loop has taken a STOP that was asked for.
 
         Parameters
         ----------
@@ -69,7 +69,8 @@ class StopPage:
 
 
 def own_name(identity: str = "") -> str:
-    """Name this process: user (or who the certificate says it is), machine and process."""
+    """The name of this process: user (or the name in its certificate), computer and process number.
+    """
     try:
         user = identity or getpass.getuser()
     except (KeyError, OSError):  # a container without an entry for its user
@@ -78,7 +79,7 @@ def own_name(identity: str = "") -> str:
 
 
 def find(name: str, instance: bytes | None = None) -> StopPage | None:
-    """Map the stop page of a target; None where it runs elsewhere or is not this user's.
+    """The stop page of a target; None where the target runs elsewhere or belongs to another user.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How a STOP ended, in words."""
+"""Words for how a STOP ended."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ TAKEN_S = 0.05  # for the loop to take a STOP from shared memory: 50 samples at 
 
 
 def at_rest(status: m.Status) -> bool:
-    """Whether a STOP is over: a STOP or trip has been carried out, or no program runs and the
+    """Whether a STOP is complete: a STOP or trip has been carried out, or no program runs and the
     machine is safe.
     """
     ended = status.state in (ProgramState.EMPTY, ProgramState.CRASHED)
@@ -17,7 +17,7 @@ def at_rest(status: m.Status) -> bool:
 
 
 def stopped(status: m.Status) -> str:
-    """Say how a STOP ended, from what `Programs.stop` returned."""
+    """A sentence on how a STOP ended, from what `Programs.stop` returned."""
     if status.trip is None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
         what = (
             "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
@@ -29,13 +29,13 @@ def stopped(status: m.Status) -> str:
 
 
 def ended(trip: m.Trip) -> str:
-    """Say what ended a run: who asked, or which limit."""
+    """A phrase on what ended a run: who asked for it, or which limit."""
     own = DriveState.latched(trip.reason) == DriveState.TRIPPED
     return f"the machine stopped itself: {trip.text}" if own else trip.text
 
 
 def state_at(status: m.Status) -> str:
-    """Say in what state a program is, and since which sample if a STOP or a trip ended it."""
+    """The state of a program, and the sample of the STOP or trip that ended it, in words."""
     if status.trip is None or status.state != ProgramState.STOPPED:
         return f"{status.state} at sample {status.tick}"
     return f"{status.drive} at sample {status.trip.tick}"

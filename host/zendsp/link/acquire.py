@@ -46,13 +46,13 @@ SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
 
 
 def _check_seconds(seconds: object) -> None:
-    """Refuse what is no time, by name and unit."""
+    """Refuse a time that is no positive number of seconds; the message names the argument."""
     if not isinstance(seconds, numbers.Real) or isinstance(seconds, bool):
         raise AcquisitionError(f"seconds = {seconds!r}: give a number, in s, for example 2.0")
 
 
 class Recorder(Transfers):
-    """Methods of a target that concern acquisition.
+    """The recorder of a target: acquisitions, and their rows brought to this host.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ class Recorder(Transfers):
         patience: float = PATIENCE_S,
         pauses: bool = True,
     ) -> Recording:
-        """Record channels for some time and bring the data home. Ctrl-C ends the recording on the
-        target too; `acquire_load` then brings home what there is.
+        """Record channels for some time and return the recording. Ctrl-C ends the recording on the
+        target too; `acquire_load` then returns what was recorded.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class Recorder(Transfers):
             raise
 
     def _need_channels(self, channels: Sequence[str], status: m.Status) -> None:
-        """A channel that is not there is a fault of its own, whatever the program does."""
+        """Refuse a channel that does not exist, whatever state the program is in."""
         if status.state == ProgramState.EMPTY:
             return
         try:
@@ -176,8 +176,8 @@ class Recorder(Transfers):
         take: bool,
         may_follow: bool,
     ) -> float:
-        """Configure a shot, or a ring as long as the target has memory for; returns the seconds
-        that are held.
+        """Configure a shot, or a ring as long as the target's memory allows; return the seconds
+        that it holds.
         """
         try:
             self.acquire_configure(channels, seconds, decimation, trigger, take=take)
@@ -205,9 +205,7 @@ class Recorder(Transfers):
         patience: float,
         progress: Callable[[float], None] | None,
     ) -> Recording:
-        """Bring rows home while they are recorded, for shots that do not fit into the target's
-        memory.
-        """
+        """Load rows while they are recorded, for shots that do not fit into the target's memory."""
         deadline = None if timeout is None else time.monotonic() + timeout
         status: m.AcquireStatus = self.insist("acquire_status", patience)
         begun = status.begun
@@ -310,7 +308,8 @@ class Recorder(Transfers):
         progress: Callable[[float], None] | None = None,
         patience: float = PATIENCE_S,
     ) -> Recording:
-        """Bring home what the recorder holds, also after a crash of the program.
+        """Load the rows that the recorder holds and return the recording, also after a crash of the
+        program.
 
         Parameters
         ----------
@@ -346,8 +345,8 @@ class Recorder(Transfers):
         progress: Callable[[float], None] | None = None,
         patience: float = PATIENCE_S,
     ) -> Recording:
-        """Wait until the recorder has all it wants and load it; a continuous ring is stopped as it
-        is.
+        """Wait until the recorder has all of its rows, then load them; a continuous ring is
+        stopped.
 
         Parameters
         ----------
@@ -375,7 +374,8 @@ class Recorder(Transfers):
         return self.acquire_load(note, None, patience)
 
     def _end_ring(self, patience: float) -> None:
-        """Stop a ring and wait until the loop has seen it: what is loaded then no longer changes.
+        """Stop a ring and wait until the loop has stopped writing: what is loaded then no longer
+        changes.
         """
         self.acquire_stop()
         deadline = time.monotonic() + END_S
@@ -435,7 +435,7 @@ class Recorder(Transfers):
 
 
 def _cut_short(overall: m.Status, status: m.AcquireStatus) -> ZendspError:
-    """A recording that ended with its program."""
+    """The error for a recording whose program ended before it was complete."""
     rows = f"{status.count - status.first} of {status.wanted} rows"
     why = overall.trip.text or overall.trip.reason if overall.trip is not None else ""
     return _loadable(Incomplete(
@@ -445,14 +445,14 @@ def _cut_short(overall: m.Status, status: m.AcquireStatus) -> ZendspError:
 
 
 def _comes_to_rest(status: m.Status, stood: float) -> bool:
-    """Whether samples go on after a STOP or trip, and how the machine comes to rest is recorded.
+    """Whether samples go on after a STOP or trip, so that the machine's coming to rest is being
+    recorded.
 
     Parameters
     ----------
     status : Status
     stood : float, s
-        When the program was first seen to run no more, by this computer's clock: the one that ran
-        before it may have been long ago, if the target stood still.
+        When this host first saw that the program no longer runs, by its monotonic clock.
     """
     return (
         status.trip is not None
@@ -462,6 +462,6 @@ def _comes_to_rest(status: m.Status, stood: float) -> bool:
 
 
 def _loadable(error: ZendspError) -> ZendspError:
-    """Add to an error what can still be done."""
+    """Add to an error how to load what was recorded."""
     error.add_note("acquire_load() brings home what was recorded")
     return error

@@ -1,4 +1,4 @@
-"""Threads that work for links, and how all links end with the process."""
+"""Threads that work for links, and the closing of all links when the process ends."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Connected(Protocol):
     """A connection that must be closed before the process ends."""
 
     def close(self) -> None:
-        """Say goodbye."""
+        """End the connection."""
 
     def disown(self) -> None:
-        """Forget it, in a child of fork(): it is the parent's."""
+        """Forget the connection in a child of fork(): it belongs to the parent."""
 
 
 open_links: weakref.WeakSet[Connected] = weakref.WeakSet()
@@ -30,11 +30,12 @@ END_S = 1.0  # for saying goodbye when the process ends
 
 
 def background(name: str, work: Callable[..., object], *arguments: object) -> threading.Thread:
-    """A daemon thread that does ``work``; the end of the process waits for it a little.
+    """A daemon thread that does ``work``. The end of the process waits for it for a short time.
 
-    Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it,
-    and Rust takes the whole process down for that ("FATAL: exception not rethrown"): so the links
-    are closed first, which ends what waits in Zenoh, and these threads are given the time to leave.
+    While the interpreter shuts down, Python ends a thread that returns from Zenoh by unwinding its
+    stack, upon which Rust aborts the whole process ("FATAL: exception not rethrown"). Therefore the
+    links are closed first, which ends every wait in Zenoh, and these threads are given the time to
+    return.
     """
     thread = threading.Thread(target=work, args=arguments, name=name, daemon=True)
     _background.add(thread)
@@ -43,10 +44,11 @@ def background(name: str, work: Callable[..., object], *arguments: object) -> th
 
 
 class Listener:
-    """Calls ``take`` with each sample of a subscriber, in a thread that no process ever waits for.
+    """Calls ``take`` with each sample of a subscriber, in a thread for which the end of the process
+    does not wait.
 
-    A Python callback of Zenoh's has a thread that Python joins before anything registered with
-    ``atexit`` runs: a script that does not close its session would never end.
+    For a Python callback Zenoh starts a thread that Python joins before it runs functions
+    registered with ``atexit``: a script that does not close its session would never end.
     """
 
     def __init__(
@@ -56,7 +58,7 @@ class Listener:
         background(name, _pull, subscriber.handler, take)
 
     def undeclare(self) -> None:
-        """End it."""
+        """End the subscription."""
         self._subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
@@ -74,7 +76,7 @@ def _pull(samples: Any, take: Callable[[zenoh.Sample], None]) -> None:
 
 @atexit.register
 def _close_all() -> None:
-    """Close every connection; a target that cannot be told (a frozen peer) notices within the
+    """Close every connection. A target that cannot be told so (a frozen one) notices within the
     lease.
     """
     for link in list(open_links):

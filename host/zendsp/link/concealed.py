@@ -1,4 +1,4 @@
-"""What a simulated machine conceals: its seal before the diagnosis, the truth after it."""
+"""What a simulated machine conceals: its seal before the diagnosis, and the truth after it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from zendsp_protocol import messages as m
 
 
 class TrueValue(TypedDict):
-    """A parameter of a concealed effect; the law of a coupling is a word."""
+    """A parameter of a concealed effect: a number with its unit, or the name of a coupling's law.
+    """
 
     value: float | str
     unit: str
@@ -52,15 +53,16 @@ class Truth:
 
 
 class Concealment(Part):
-    """Methods of a target whose simulated machine may carry physics that no model has."""
+    """What the target's simulated machine conceals: physics that no model has."""
 
     def seal(self) -> str:
-        """Ask for the SHA-256 of what the machine conceals; keep it until the reveal."""
+        """SHA-256 of what the machine conceals, asked of the target and kept for the reveal."""
         answer: m.Seal = self.request("seal")
         return answer.sha256
 
     def reveal(self) -> Truth:
-        """Ask for what the machine conceals, after the fact, and check it against its seal.
+        """What the machine conceals, asked of the target after the diagnosis and checked against
+        its seal.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""``connect`` to a target that runs, or start one here with ``local``."""
+"""``connect`` to a running target, or start one on this computer with ``local``."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def connect(
 
 def _not_asked(name: str) -> str:
     """A hint for an error: the target of this computer that may have been meant, where
-    ``$ZENDSP_CONNECT`` leads elsewhere.
+    ``$ZENDSP_CONNECT`` names another place.
     """
     here = [entry.name for entry in own_entries(name)] if remote_endpoints(None) else []
     if not here:
@@ -103,8 +103,8 @@ def _not_asked(name: str) -> str:
 def locate(
     name: str, connect: str | Sequence[str] | None = None
 ) -> tuple[str, list[str], Credentials | None]:
-    """Name and endpoints of the target that is meant, and the credentials of its own user where it
-    runs here.
+    """Name and endpoints of the target that is meant, and for a target of this computer the
+    credentials of its own user.
     """
     entries = {entry.name: entry for entry in local_entries()}
     endpoints = remote_endpoints(connect)
@@ -150,7 +150,7 @@ def local(
     options: Sequence[str] = (),
     timeout: float = START_S,
 ) -> Target:
-    """Start a target process here, which only this user can reach, and connect to it.
+    """Start a target process on this computer, which only this user can reach, and connect to it.
 
     It ends when the returned target is closed, and also when this process dies in any way.
 

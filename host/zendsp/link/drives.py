@@ -66,13 +66,13 @@ class Drives(Part):
         return applied.tick
 
     def set_drive(self, mode: str) -> None:
-        """Tell the drives ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"``: on at start, off
-        at pause.
+        """Set the mode of the drives: ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"``: on at
+        start, off at pause.
         """
         self.request("set_drive", mode=mode)
 
     def home(self) -> None:
-        """Begin the machine's homing; ``status().homed`` tells when it is done."""
+        """Begin the machine's homing; ``status().homed`` is true when it is done."""
         self.request("home")
 
     def set_ramp(self, seconds: float) -> None:
@@ -80,8 +80,8 @@ class Drives(Part):
         self.request("set_ramp", seconds=float(seconds))
 
     def set_overrun(self, policy: str, limit: int = 10) -> None:
-        """Choose what an overrun does: ``"count"``, ``"skip"``, or ``"trip"`` after ``limit`` in a
-        row.
+        """Choose what late samples do: ``"count"``, ``"skip"``, or ``"trip"`` after ``limit`` of
+        them in a row.
         """
         self.request("set_overrun", policy=policy, limit=limit)
 
@@ -123,7 +123,7 @@ class Drives(Part):
 
     def home_if_needed(self, timeout: float = 60.0) -> bool:
         """Home a machine whose position is unknown, as `home_and_wait` does, but without beginning
-        the explicit sequence; returns whether that was needed.
+        the explicit sequence. Returns whether it had to be homed.
         """
         needed = not self.request("status").homed
         if needed:
@@ -188,7 +188,7 @@ class Drives(Part):
         return self._drive(DriveAction.TAKE, force=force)
 
     def release_command(self) -> str:
-        """Give the right back."""
+        """Give the right to command back."""
         return self._drive(DriveAction.RELEASE)
 
     def set_host_lost(self, policy: str) -> str:

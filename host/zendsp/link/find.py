@@ -1,5 +1,4 @@
-"""Find targets: those of this machine through their registry entries, others through the endpoints
-one names.
+"""Find targets: those of this computer through their registry entries, others at given endpoints.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ class Found:
 def discover(
     pattern: str = "*", connect: str | Sequence[str] | None = None, timeout: float = 3.0
 ) -> list[Found]:
-    """List the targets that answer.
+    """The targets that answer.
 
     Parameters
     ----------
@@ -90,12 +89,12 @@ def discover(
 
 
 def there(endpoints: Sequence[str]) -> list[Found]:
-    """List the targets that answer at ``endpoints``, by name, whatever runs on this machine.
+    """The targets that answer at ``endpoints``, by name, whatever runs on this computer.
 
     Raises
     ------
     LinkError
-        None.
+        No target answers.
     """
     answers = _ask_all([([endpoint], None) for endpoint in endpoints], 3.0)
     found = {one.name: one for some in answers for one in some}
@@ -107,7 +106,7 @@ def there(endpoints: Sequence[str]) -> list[Found]:
 
 
 def unreachable(entry: registry.Entry) -> str:
-    """Why nobody can connect to a target of this user; empty where its socket is there."""
+    """Why a target of this user cannot be connected to; empty where its socket exists."""
     sockets = [
         endpoint.partition("/")[2] for endpoint in reach(entry)[0] if endpoint.startswith(SOCKET)
     ]
@@ -121,8 +120,8 @@ def unreachable(entry: registry.Entry) -> str:
 
 
 def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
-    """The endpoint and credentials of a target for its own user; None where it asks everyone for
-    the same.
+    """Endpoint and credentials by which a target's own user reaches it; None where it asks everyone
+    for the same credentials.
     """
     sockets = [endpoint for endpoint in entry.endpoints if endpoint.startswith(SOCKET)]
     if sockets or entry.user:
@@ -135,7 +134,9 @@ def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
 def _ask_all(
     places: Sequence[tuple[Sequence[str], Credentials | None]], timeout: float
 ) -> list[list[Found]]:
-    """The answers at all endpoints, asked at once, so that a silent one delays no other."""
+    """The answers of all endpoints, which are asked at once: one that does not answer delays no
+    other.
+    """
     answers: list[list[Found]] = [[] for _ in places]
 
     def ask(k: int) -> None:

@@ -1,4 +1,4 @@
-"""One connection to one target: requests that always end in an answer or a clear error."""
+"""One connection to one target. Every request ends in an answer or an error that says why not."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WAITING = 1024  # parts that may wait to be taken: many times what one request b
 
 
 class Link:
-    """A session with one target.
+    """A Zenoh session with one target.
 
     Parameters
     ----------
@@ -101,12 +101,12 @@ class Link:
 
     @property
     def alive(self) -> bool:
-        """Whether the target is reachable, as the link itself knows it."""
+        """Whether the target is reachable, by its liveliness token."""
         return self._alive.is_set() and not self.closed
 
     def wait_alive(self, timeout: float) -> bool:
-        """Wait until the target is reachable (again); False when ``timeout`` s have passed, and as
-        soon as it is known that its process has ended.
+        """Wait until the target is reachable. Returns False after ``timeout`` s, or as soon as its
+        process is known to have ended.
         """
         deadline = time.monotonic() + timeout
         while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
@@ -116,7 +116,7 @@ class Link:
 
     @property
     def over(self) -> bool:
-        """Whether the process of the target has ended, as far as can be known from here."""
+        """Whether the process of the target is known to have ended."""
         return self.ended or (
             self.own and self.target not in {entry.name for entry in local_entries()}
         )
@@ -133,7 +133,7 @@ class Link:
             self._returned.remove(callback)
 
     def take_over(self, old: Link) -> None:
-        """Take over the callbacks of ``old``, and call them."""
+        """Take the callbacks of the link ``old``, and call them."""
         for callback in list(old._returned):
             self.on_return(callback)
             callback()
@@ -187,8 +187,8 @@ class Link:
         limit: float,
         begin: float,
     ) -> zenoh.Sample:
-        """The answer to a request, which is repeated until it comes: a flooded target drops some
-        requests unanswered.
+        """The answer to a request, which is sent again until it comes: a flooded target drops some
+        requests.
         """
         while not self.closed and self._alive.is_set() and time.monotonic() <= begin + limit:
             time.sleep(AGAIN_S)
@@ -201,8 +201,8 @@ class Link:
     def _again(
         self, row: Verb, payload: bytes, timeout: float, begin: float, number: int, instance: bytes
     ) -> zenoh.Sample:
-        """The answer to a change that must be carried out once: after an outage it is sent again,
-        and the target recognises it by its stamp.
+        """The answer to a change that must be carried out only once. After an outage it is sent
+        again, and the target recognises it by its stamp.
         """
         deadline, again = begin + timeout, stamp(self._name, number, instance, AGAIN)
         while (
@@ -223,8 +223,8 @@ class Link:
         )
 
     def stream(self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None]) -> None:
-        """Send a request that is answered by many parts, each with an attachment, and a last one
-        without.
+        """Send a request that is answered by many parts, each with an attachment, and at the end by
+        a reply without one; return that reply.
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class Link:
         raise self.silence(verb, row.timeout)
 
     def silence(self, verb: str, timeout: float) -> LinkError:
-        """The error for an absent answer: the target is gone, or does not answer."""
+        """The error for an answer that did not come: the target is gone, or does not answer."""
         where = ", ".join(self.endpoints)
         if self.closed:
             return LinkError(CLOSED.format(name=self.target))
@@ -267,7 +267,7 @@ class Link:
         )
 
     def _kept(self) -> str:
-        """A sentence on where the recorded rows of a killed target of this computer are."""
+        """A sentence on where the rows are that a killed target of this computer had recorded."""
         with kept.abandoned() as folders:
             notes = [kept.read(folder) for folder in folders] if self.own else []
         if not any(note is not None and note.about.target == self.target for note in notes):
@@ -290,10 +290,10 @@ class Link:
             self._session.close()  # type: ignore[no-untyped-call]
 
     def disown(self) -> None:
-        """After a fork, in the child: the session belongs to the parent, and its threads are not
-        here.
+        """Forget the session in a child of fork(): it belongs to the parent, and its threads do not
+        exist here.
 
-        Even freeing it would wait for these threads for ever, so it is never freed.
+        It is never freed, since freeing it would wait for these threads for ever.
         """
         import ctypes
 
@@ -311,7 +311,9 @@ class Link:
         return row
 
     def _make_ready(self, verb: str) -> _Ready:
-        """Prepare the requests of a verb: its row of the table, and its lane."""
+        """Prepare for requests of a verb: look up its row of the table and declare a querier for
+        its lane.
+        """
         row = self._row(verb)
         ready = row, self._queriers.get(row.lane)
         self._ready[verb] = ready
@@ -330,8 +332,8 @@ class Link:
     def _patient(
         self, row: Verb, payload: bytes, timeout: float, attachment: bytes | None = None
     ) -> zenoh.Sample:
-        """The reply to a request, waited for such that Ctrl-C works and the loss of the target is
-        noticed.
+        """Wait for the reply to a request such that Ctrl-C works and the loss of the target is
+        noticed; return the reply.
         """
         with self._replies(row, payload, timeout, zenoh.Priority.DATA, attachment) as replies:
             for reply in replies:
@@ -350,7 +352,7 @@ class Link:
     ) -> Iterator[Iterable[zenoh.Reply]]:
         """Hand over replies as they come, until the last, or until the target is gone.
 
-        No generator: one that is left early ends where Python loses a Ctrl-C that came meanwhile.
+        This is no generator: leaving one early can make Python lose a Ctrl-C.
         """
         giving_up = zenoh.CancellationToken()
         self._waiting.add(giving_up)
@@ -373,14 +375,14 @@ class Link:
             self._waiting.discard(giving_up)
 
     def _still_there(self) -> bool:
-        """Whether the target is still there; the news of its death may come a moment after its last
-        answer.
+        """Whether the target is still there. News of its death may come a moment after its last
+        answer, so this waits for it.
         """
         self._lost.wait(STEP_S)
         return self._alive.is_set()
 
     def _meet(self) -> None:
-        """Learn which run of the target has come back; with a timeout, so that no querier is in use
+        """Ask which run of the target has come back. The request has a timeout, so that it is over
         when the link is closed.
         """
         with contextlib.suppress(ZendspError):
@@ -412,7 +414,7 @@ class Link:
 
 
 def _ask(querier: zenoh.Querier, payload: bytes) -> zenoh.Sample:
-    """Send a request and wait for its reply.
+    """Send a request and return its reply.
 
     Raises
     ------
@@ -430,7 +432,7 @@ def _ask(querier: zenoh.Querier, payload: bytes) -> zenoh.Sample:
 
 
 def _undeclare(querier: zenoh.Querier) -> None:
-    """Undeclare a querier, as soon as no other thread is just sending a request with it."""
+    """Undeclare a querier once no other thread is sending a request with it."""
     end = time.monotonic() + END_S
     while True:
         try:

@@ -1,4 +1,5 @@
-"""What a target lists: its variables, its log; readable at a prompt and in a notebook."""
+"""Lists that a target returns, its variables and its log, readable at a prompt and in a notebook.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +11,12 @@ from zendsp_protocol.views import html_table, short, text_table
 
 
 class _Listing:
-    """A table at a prompt, and one in a notebook."""
+    """Shows itself as a table, at a prompt and in a notebook."""
 
     header: tuple[str, ...]
 
     def rows(self) -> list[tuple[str, ...]]:
-        """A row for each entry, as it is shown."""
+        """The rows of the table, one for each entry."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
@@ -26,7 +27,7 @@ class _Listing:
 
 
 class Dictionary(_Listing, dict[str, m.VariableInfo]):
-    """Variables by their names."""
+    """The variables by name."""
 
     header = ("VARIABLE", "TYPE", "KIND", "UNIT", "MIN", "MAX", "")
 
@@ -40,7 +41,7 @@ class Dictionary(_Listing, dict[str, m.VariableInfo]):
 
 
 class Log(_Listing, tuple[m.Change, ...]):
-    """Changes of parameters, the oldest first."""
+    """The changes of parameters, oldest first."""
 
     header = ("SAMPLE", "PARAMETER", "OLD", "NEW", "BY")
 

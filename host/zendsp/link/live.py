@@ -1,5 +1,5 @@
-"""Live views: the newest samples of chosen channels, as an iterator, a callback, or a snapshot to
-pull.
+"""Live views: the newest samples of chosen channels, to iterate over, handed to a callback, or read
+when wanted.
 """
 
 from __future__ import annotations
@@ -60,9 +60,10 @@ class LiveBlock:
 
 
 class _Window:
-    """The last rows of a view, in two arrays; what is missing between them is a row of NaN.
+    """The last rows of a view, in two arrays, with a row of NaN where rows are missing.
 
-    A block of one row takes ten times the memory of its numbers, and a thousand come each second.
+    Blocks are not kept as they are: one of a single row takes ten times the memory of its numbers,
+    and a thousand may come each second.
     """
 
     def __init__(self, rows: int, columns: int) -> None:
@@ -70,7 +71,7 @@ class _Window:
         self._t, self._data = np.empty(0), np.empty((0, columns))
 
     def append(self, block: LiveBlock) -> None:
-        """Take up a block; only its last rows where it is longer than the window."""
+        """Add a block; of one that is longer than the window, its last rows."""
         if block.gap and self._end:
             self._put(block.t[:1], np.nan)
         self._put(block.t[-self._rows :], block.data[-self._rows :])
@@ -91,7 +92,7 @@ class _Window:
         return float(self._t[self._end - 1]), list(self._data[self._end - 1].tolist())
 
     def rows(self) -> tuple[FloatArray, FloatArray]:
-        """Times (N,) and data (N, columns), copied."""
+        """Copies of times (N,) and data (N, columns)."""
         kept = slice(max(0, self._end - self._rows), self._end)
         return self._t[kept].copy(), self._data[kept].copy()
 
@@ -99,7 +100,7 @@ class _Window:
 class LiveView:
     """A subscription to the newest samples; close it, or use it in a ``with``.
 
-    Three ways to read it: iterate over blocks, give a callback, or pull `latest` and
+    There are three ways to read it: iterate over blocks, give a callback, or read `latest` and
     `window` whenever the screen is drawn (the cheapest).
     """
 
@@ -145,7 +146,7 @@ class LiveView:
         self._subscriber = Listener(subscriber, self._take, "live")
 
     def _reopen(self) -> None:
-        """After an outage the target has forgotten this viewer: ask again."""
+        """Subscribe again after an outage, in which the target has forgotten this viewer."""
         if self._closed:
             return
         try:
@@ -199,7 +200,8 @@ class LiveView:
             return self._blocks.popleft() if self._blocks else None
 
     def latest(self) -> dict[str, float]:
-        """Newest value of each column, with the time as ``t``; empty before the first sample."""
+        """The newest value of each column, with the time as ``t``; empty before the first sample.
+        """
         with self._lock:
             if self._window is None:
                 return {}
@@ -207,7 +209,7 @@ class LiveView:
         return {"t": t, **dict(zip(self.columns, row, strict=True))}
 
     def window(self) -> tuple[FloatArray, FloatArray]:
-        """Return the last ``history`` s: times (N,) and data (N, columns); gaps are one row of NaN.
+        """The last ``history`` s: times (N,) and data (N, columns), with one row of NaN for a gap.
         """
         with self._lock:
             if self._window is None:
@@ -215,7 +217,7 @@ class LiveView:
             return self._window.rows()
 
     def _skipped(self) -> str:
-        """A view shows what it can; a recording keeps all."""
+        """The number of rows that the view had no time for, in words; a recording keeps all."""
         return f", {self.lost} more not shown (a recording keeps all)" if self.lost else ""
 
     def __repr__(self) -> str:
@@ -273,7 +275,7 @@ class LiveView:
 
 
 class LiveViews(Part):
-    """Methods of a target that concern live views."""
+    """Live views of a target's channels."""
 
     def live(
         self,

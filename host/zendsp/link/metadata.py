@@ -1,4 +1,4 @@
-"""The metadata of a recording, requested from the target once its rows are here."""
+"""The metadata of a recording, asked of the target once the rows have arrived."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def describe(
     note: str,
     patience: float,
 ) -> Recording:
-    """Make the recording of rows that were loaded.
+    """The recording that is made of loaded rows and the target's metadata.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def describe(
 def ticks_of(
     first: int, rows: int, start: int, decimation: int, gaps: Sequence[tuple[int, int]]
 ) -> npt.NDArray[np.int64]:
-    """Samples at which rows were taken, (rows,): left-out samples are a gap.
+    """The samples at which rows were taken, (rows,). Samples that were left out make a gap.
 
     Parameters
     ----------
@@ -108,8 +108,8 @@ def ticks_of(
 def _made_by(
     parameters: ParameterSets, status: m.AcquireStatus, last: int, patience: float
 ) -> tuple[m.Program, Reading, Sequence[m.Change], bool]:
-    """The program that made the rows, its parameters at sample ``last`` or later, their changes
-    between, and whether it is loaded no more.
+    """The program that made the rows, its parameters at sample ``last`` or later, the changes in
+    between, and whether the program is no longer loaded.
     """
     program: m.Program = parameters.insist("program", patience)
     try:
@@ -131,7 +131,7 @@ def _made_by(
 
 
 def parameters_at(tick: int, read: Reading, changes: Sequence[m.Change]) -> dict[str, Assignable]:
-    """Return the parameters as they were at a sample.
+    """The parameters as they were at a sample.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
 
 
 def _timing(counted: m.Timing) -> LoopTiming:
-    """The loop's timing as JSON holds it."""
+    """The loop's timing, in types that JSON has."""
     fields = msgspec.structs.asdict(counted)
     return cast(LoopTiming, {name: plain(value) for name, value in fields.items()})
 
@@ -215,5 +215,5 @@ def _change(change: m.Change) -> ParameterChange:
 
 
 def host_version() -> str:
-    """What this host runs, as a recording keeps it."""
+    """The versions that this host runs, for a recording."""
     return f"zendsp {metadata.version('zendsp')}, python {platform.python_version()}"

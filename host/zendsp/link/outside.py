@@ -23,7 +23,7 @@ class Outside:
 
 
 def positions(status: m.Status, joints: Sequence[m.JointInfo]) -> tuple[float, ...]:
-    """Position of each joint by its encoder, rad or m; also while no program computes anything."""
+    """The position of each joint by its encoder, rad or m, whether or not a program runs."""
     counts = plain(status.io.get("enc", ()))
     counts = counts if isinstance(counts, list | tuple) else [counts]
     return tuple(
@@ -35,8 +35,8 @@ def positions(status: m.Status, joints: Sequence[m.JointInfo]) -> tuple[float, .
 def outside(
     status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits
 ) -> tuple[Outside, ...]:
-    """The joints that stand outside their position limits. Nothing where the machine is not homed:
-    nobody knows where it stands.
+    """The joints that stand outside their position limits. None for a machine that is not homed,
+    whose positions are unknown.
     """
     if not status.homed:
         return ()

@@ -1,4 +1,4 @@
-"""Parameter sets: all that tunes a program, saved, compared, and put back in one sample."""
+"""Parameter sets: all parameters of a program, to save, compare, and restore in one sample."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """Values of parameters by name, and the program that they tune.
+    """Values of parameters by name, and the program that they belong to.
 
     Examples
     --------
@@ -60,7 +60,7 @@ class ParameterSet:
         return f"<ParameterSet{whose}: {', '.join(shown) or 'empty'}>"
 
     def diff(self, other: ParameterSet) -> list[Difference]:
-        """List the parameters that differ, in the order of this set."""
+        """The parameters that differ, in the order of this set."""
         names = [*self.values, *(name for name in other.values if name not in self.values)]
         pairs = [Difference(name, self.values.get(name), other.values.get(name)) for name in names]
         return [pair for pair in pairs if not _same(pair.mine, pair.other)]
@@ -125,7 +125,7 @@ class ParameterSet:
 
 
 class ParameterSets(Part):
-    """Methods of a target that concern sets of parameters.
+    """The parameters of a target's program, as sets.
 
     Parameters
     ----------
@@ -139,14 +139,14 @@ class ParameterSets(Part):
         self.variables = variables
 
     def parameters(self) -> ParameterSet:
-        """Read all parameters of the running code, from one sample."""
+        """All parameters of the running code, from one sample."""
         names = self.parameter_names()
         read = self.variables.read(names).values if names else {}
         values = {name: np.asarray(value).tolist() for name, value in read.items()}
         return ParameterSet(values, self.request("status").program, self.link.target)
 
     def restore(self, parameters: ParameterSet | Mapping[str, Assignable] | str | Path) -> int:
-        """Put a set back, in one sample; returns the sample at which it took effect.
+        """Write a set back in one sample; return the sample at which it took effect.
 
         Parameters
         ----------
@@ -163,7 +163,7 @@ class ParameterSets(Part):
         return self.variables.update_alone(values)
 
     def reset(self) -> int:
-        """Put every parameter back to its initial value, in one sample."""
+        """Set every parameter to its initial value, in one sample."""
         infos = self.variables()
         return self.variables.update_alone(
             {name: plain(infos[name].initial) for name in self.parameter_names()}
@@ -174,7 +174,7 @@ class ParameterSets(Part):
         return _names(self.variables().values())
 
     def insist_on_all(self, patience: float) -> Reading:
-        """Read all parameters of the running code, from one sample; again after each outage of up
+        """All parameters of the running code, from one sample; asked again after each outage of up
         to ``patience`` s.
         """
         names = _names(self.insist("variables", patience))

@@ -28,13 +28,13 @@ WATCHED_S = 0.25  # of the target's time: a program that runs for so long has be
 
 
 class Programs(Part):
-    """Methods of a target that concern its program."""
+    """The program of a target: compile, load, start, pause, stop."""
 
     _page: StopPage | None = None
     _page_of = b""  # run of the target
 
     def compile(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
-        """Compile C code on the target; the running program is not touched.
+        """Compile C code on the target. The running program is not touched.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Programs(Part):
         return result
 
     def load(self, key: str) -> None:
-        """Load a compiled program by its key; a fresh runner starts and ``UserInit`` runs."""
+        """Load a compiled program by its key: a new runner starts and runs ``UserInit``."""
         self.request("load", key=key)
 
     def download(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
@@ -120,14 +120,14 @@ class Programs(Part):
             raise Tripped(f"started, and {trouble(status)}")
 
     def begin(self, ticks: int | None = None, attended: bool = False) -> None:
-        """As `start`, for who looks at what becomes of it himself."""
+        """As `start`, but without looking at the first samples: the caller does."""
         self.request("start", ticks=ticks, attended=attended)
 
     def pause(self) -> None:
         """Pause the program: outputs are safe, variables keep their values.
 
-        A simulated machine stands still with its time. Hardware is in its safe state, speed zero:
-        what neither drives nor brakes hold sinks.
+        A simulated machine stands still in time. Hardware is in its safe state, with a commanded
+        speed of zero; a joint that neither drive nor brake holds sinks.
         """
         self.request("pause")
 
@@ -173,8 +173,8 @@ class Programs(Part):
             raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
 
     def stop_page(self) -> StopPage | None:
-        """The file through which `stop` goes first: only of a target of this user on this
-        computer, None elsewhere.
+        """The file by which `stop` acts first, for a target of this user on this computer; None
+        elsewhere.
         """
         instance = self.link.instance
         if instance != self._page_of:
@@ -182,8 +182,8 @@ class Programs(Part):
         return self._page
 
     def _stopped_at(self, sample: int) -> m.Status:
-        """The status, with the STOP that the loop has taken: somebody may have acknowledged it, or
-        the target may be stuck.
+        """The status, with the STOP that the loop has taken. It may be acknowledged already, or the
+        target's process may hang.
         """
         known = stopped_at(sample)
         try:
@@ -253,8 +253,8 @@ class Programs(Part):
         return self.wait(timeout if timeout is not None else 2.0 * seconds + 10.0)
 
     def watch_start(self, seconds: float = WATCHED_S, timeout: float = 5.0) -> m.Status:
-        """Look at the first samples of a program that was started: one that trips or crashes does
-        so there, mostly.
+        """Look at the first samples of a program that was started, in which most trips and crashes
+        happen.
 
         Parameters
         ----------
@@ -286,7 +286,8 @@ class Programs(Part):
     def wait(
         self, timeout: float = 60.0, on_status: Callable[[m.Status], None] | None = None
     ) -> m.Status:
-        """Wait until the program no longer runs (paused by itself, stopped, tripped or crashed).
+        """Wait until the program no longer runs (paused by itself, stopped, tripped or crashed);
+        return its status.
 
         Parameters
         ----------
@@ -322,7 +323,7 @@ class Programs(Part):
 
 
 def trouble(status: m.Status) -> str:
-    """Return one line on a program that crashed, or a STOP or trip that is latched, and what to do
+    """A line on a program that has crashed, or on a STOP or trip that is latched, and what to do
     next; else ``""``.
     """
     if status.state == ProgramState.CRASHED:
@@ -353,7 +354,7 @@ def trouble(status: m.Status) -> str:
 
 
 def left(status: m.Status) -> str:
-    """Return one line on how the machine is left where what moved it has ended early."""
+    """A line on the state in which the machine was left by a motion that ended early."""
     if said := trouble(status):
         return said
     if status.state == ProgramState.RUNNING:
@@ -369,7 +370,7 @@ def left(status: m.Status) -> str:
 
 
 def late(status: m.Status) -> str:
-    """Return one line on a program that is late in most samples; else ``""``."""
+    """A line on a program that is late in most samples; else ``""``."""
     t = status.timing
     if t.ticks < LEAST_SAMPLES or 2 * t.overruns < t.ticks:
         return ""

@@ -1,4 +1,4 @@
-"""Restores what a run has set in the program when the run ends, however it ends."""
+"""Restores what a run has set in the program when the run ends, in whichever way."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ GONE = (ProgramState.CRASHED, ProgramState.EMPTY)
 
 
 class Before:
-    """Variables of the loaded program as they are now, tables too, to be put back after a run. The
-    target keeps them, and puts them back itself if this host is lost.
+    """The values that variables of the loaded program have now, tables included, to be restored
+    after a run. The target keeps them, and restores them itself if this host is lost.
 
     Parameters
     ----------
@@ -46,11 +46,11 @@ class Before:
         return self._begun.follows
 
     def put_back(self) -> str:
-        """Write everything back, in one sample or faded; returns why that failed, else "".
+        """Restore all values, in one sample or faded; return why that failed, else "".
 
-        Nothing is written into another program, into one that was loaded afresh, or that crashed.
-        Of a program that runs and follows its tables, the rows that it had stay away: their
-        switch-over would begin their motion.
+        Nothing is written into another program, into one that was loaded anew, or into one that
+        crashed. The rows of tables are not restored while the program runs and follows its tables,
+        since the switch-over would start their motion.
         """
         try:
             self._target.request("run_end", run=self._begun.run)
@@ -60,7 +60,7 @@ class Before:
 
 
 class Loaded:
-    """The loaded program as it is now, with parameters and tables, to be put back after others.
+    """The loaded program as it is now, with parameters and tables, to be loaded again after others.
 
     Raises
     ------
@@ -82,9 +82,9 @@ class Loaded:
             self._values = dict(target.read(names).values) if names else {}
 
     def put_back(self) -> str:
-        """Load it again, and start nothing; returns why that failed, "" where it did not.
+        """Load the program again without starting it; return why that failed, else "".
 
-        While a STOP or a trip is latched nothing can be loaded: then no program is.
+        While a STOP or a trip is latched nothing can be loaded, and no program is loaded then.
         """
         target = self._target
         try:
@@ -110,7 +110,7 @@ class Loaded:
 def kept(
     target: Target, names: Iterable[str], moves: bool = False, fade: float = 0.0
 ) -> Iterator[Before]:
-    """Put back, at the end of the block, what the block sets in the program.
+    """A block at whose end the variables that it sets in the program are restored.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A run tried on a simulated twin of the target's machine, before the machine itself moves."""
+"""Tries a run on a simulated twin of the target's machine, before the machine itself moves."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ SPEED_S = 0.01  # over which the runtime measures speed
 
 @dataclass(frozen=True)
 class Peak:
-    """The most that one quantity of one joint came to on the twin: value and limit in the joint's
-    own units.
+    """The largest value that one quantity of a joint reached on the twin, and its limit, in the
+    joint's own units.
     """
 
     quantity: str  # "torque" | "force" | "speed"
@@ -44,7 +44,7 @@ class Peak:
 
     @property
     def share(self) -> float:
-        """Of the limit that trips."""
+        """The value as a fraction of the limit that trips."""
         return abs(self.value / self.limit)
 
     def __str__(self) -> str:
@@ -93,11 +93,11 @@ def rehearse(
     timeout: float = LONGEST_S,
 ) -> Rehearsal:
     """Run the loaded program on a simulated twin: the same C code, parameters, limits, position and
-    runtime, in fast time.
+    runtime, faster than real time.
 
     The target itself is only read. The twin is the nominal simulation of the machine of that name,
-    or, of a target on this computer, of the same MuJoCo model; what a real machine has beyond it
-    (and what a simulated one conceals) is not in it.
+    or, for a target on this computer, of the same MuJoCo model. It lacks what a real machine has
+    beyond the model, and what a simulated machine conceals.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def _simulation_of(info: m.MachineInfo, hostname: str) -> str:
 
 
 def _as_it_stands(info: m.MachineInfo, status: m.Status) -> list[str]:
-    """Options of a twin that begins where the machine stands."""
+    """Options by which the twin begins at the machine's position."""
     options = ["--no-realtime"]
     for text in info.options:
         options += ["--machine-option", text]
@@ -197,7 +197,8 @@ def _as_it_stands(info: m.MachineInfo, status: m.Status) -> list[str]:
 
 
 def _peaks(record: Recording, joints: Sequence[m.JointInfo], limits: m.Limits) -> tuple[Peak, ...]:
-    """The peaks by the runtime's own measures: torque of the command, speed from counts over 10 ms.
+    """The peaks as the runtime measures them: torque of the command, and speed from encoder counts
+    over 10 ms.
     """
     cmd, enc = np.atleast_2d(record["cmd"].T).T, np.atleast_2d(record["enc"].T).T
     window = max(1, round(SPEED_S / record.sample_time))

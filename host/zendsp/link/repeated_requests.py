@@ -1,10 +1,11 @@
 """Packs repeated requests fast: a host that tunes or watches sends the same names thousands of
 times with other numbers.
 
-A host that wakes up for a reply has little of its Python in the caches, so that every function
-costs several times as much. So a write or update of doubles, or a reading, is packed once. The next
-one of the same names reuses the bytes with its own numbers, and a reply that differs in its numbers
-only is read without unpacking. Everything else goes through `codec`, with the same result.
+A host that wakes up for a reply has little of its Python in the processor's caches, so that every
+function costs several times what it does in a loop. Therefore a write or update of doubles, or a
+reading, is packed once. The next request of the same names reuses the bytes with its own numbers,
+and a reply that differs only in its numbers is read without unpacking. Everything else goes through
+`codec`, with the same result.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class RepeatedRequests:
         self._forms: dict[tuple[str, ...], _Form] = {}  # of readings, by names
 
     def encode(self, verb: str, arguments: Any, author: str) -> bytes:
-        """Return what `codec.encode_request` does, byte for byte.
+        """The request as `codec.encode_request` packs it, byte for byte.
 
         Raises
         ------
@@ -95,7 +96,7 @@ class RepeatedRequests:
         self._known[key] = known
 
     def _form_of(self, names: list[str]) -> _Form:
-        """What a reading of these names looks like."""
+        """The places of the numbers in a reply to a reading of these names."""
         form = self._forms.get((*names,))
         if form is None:
             values = dict.fromkeys(names, _PROBE)
@@ -112,7 +113,7 @@ class RepeatedRequests:
         return form
 
     def decode(self, reply: bytes, kind: Any, arguments: Any) -> Any:
-        """Return what `codec.decode_reply` does, of the reply to a request with these arguments.
+        """What `codec.decode_reply` returns for the reply to a request with these arguments.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The generic request path on which every typed method of a target stands."""
+"""Sends any request of the protocol; all typed methods of a target use it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PATIENCE_S = 30.0  # for a broken link to come back
 
 
 class Requests:
-    """The present link, which a reconnection exchanges, and what is asked through it."""
+    """Sends requests through the present link, which a reconnection replaces."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
@@ -38,7 +38,7 @@ class Requests:
         return self.link.request(verb, arguments, timeout)
 
     def insist(self, /, verb: str, patience: float = PATIENCE_S, **arguments: Any) -> Any:
-        """Send a request that does no harm when repeated, again after each outage of up to
+        """Send a request that may be repeated without harm, again after each outage of up to
         ``patience`` s.
         """
         while True:
@@ -50,8 +50,7 @@ class Requests:
 
 
 class Part:
-    """Base of the parts of a target: each asks through the same `Requests`.
-    """
+    """Base of the parts of a target, which share one `Requests`."""
 
     def __init__(self, requests: Requests) -> None:
         self._requests = requests

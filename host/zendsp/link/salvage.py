@@ -1,5 +1,5 @@
-"""Recordings of targets that were killed: their rows outlive them in shared memory, on the same
-computer and for the same user.
+"""Recordings of targets that were killed: their rows stay in shared memory, for the same user on
+the same computer.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LOG_LOST = (
 
 @dataclass(frozen=True)
 class Salvage:
-    """What one killed target had recorded.
+    """The last recording of one killed target.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Salvage:
     folder: Path
 
     def load(self, note: str = "") -> Recording:
-        """Read it; it stays in shared memory until `drop`.
+        """Return the recording; it stays in shared memory until `drop`.
 
         Parameters
         ----------
@@ -100,16 +100,16 @@ class Salvage:
         )
 
     def drop(self) -> None:
-        """Free the memory; what was not loaded and saved is lost."""
+        """Free the memory; a recording that was not loaded and saved is lost."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def find_salvage(target: str = "") -> tuple[Salvage, ...]:
-    """Find the recordings of this user's targets that were killed, newest first.
+    """The recordings of this user's targets that were killed, newest first.
 
-    A target keeps the last recording that was begun in shared memory until it ends in good order.
-    If it is killed the rows stay, those of the last three killed targets, until they are dropped or
-    the computer is switched off.
+    A target keeps its latest recording in shared memory until the target ends normally. If it is
+    killed, the rows stay until they are dropped or the computer is switched off; only those of the
+    last three killed targets are kept.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def find_salvage(target: str = "") -> tuple[Salvage, ...]:
 
 
 def _range(folder: Path, note: kept.Kept) -> tuple[int, int]:
-    """The first row, and the first that was not written any more."""
+    """The first row that is there, and the first that was no longer written."""
     count, fired = note.count(folder), note.word(folder, note.fired_at)
     return kept.first_row(count, fired, note.rows, note.pre, note.ring, note.triggered), count
 

@@ -1,4 +1,4 @@
-"""Opens Zenoh sessions with targets, says which targets there are, and names this connection."""
+"""Opens Zenoh sessions with targets, says which targets exist, and names this connection."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def open_session(
 
 
 def not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) -> str:
-    """A sentence on which target is not there, and which ones are."""
+    """A sentence on a target that does not exist, and on those that do."""
     names = [
         keys.target_of(str(reply.ok.key_expr))
         for reply in session.liveliness().get(keys.alive(), timeout=0.5)
@@ -80,8 +80,8 @@ def not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) -> 
 
 
 def new_author(identity: str = "") -> str:
-    """The name of this connection: user, machine, process, and a number from the second one on;
-    valid in a key.
+    """The name of a new connection: user, computer, process, and from the second connection on a
+    number. It is valid in a key.
     """
     number = next(_numbers)
     name = own_name(identity) + (f".{number}" if number > 1 else "")

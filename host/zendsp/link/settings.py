@@ -1,4 +1,4 @@
-"""Zenoh settings of a host, and what it needs to be let in beyond loopback."""
+"""Zenoh settings of a host, and the credentials that it needs beyond this computer."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class Credentials:
 
     @classmethod
     def from_environment(cls) -> Credentials:
-        """Read ``ZENDSP_TLS_CA``, ``ZENDSP_TLS_CERT``, ``ZENDSP_TLS_KEY``, ``ZENDSP_USER`` and
-        ``ZENDSP_PASSWORD``.
+        """The credentials in ``ZENDSP_TLS_CA``, ``ZENDSP_TLS_CERT``, ``ZENDSP_TLS_KEY``,
+        ``ZENDSP_USER`` and ``ZENDSP_PASSWORD``.
         """
         names = (
             "ZENDSP_TLS_CA", "ZENDSP_TLS_CERT", "ZENDSP_TLS_KEY", "ZENDSP_USER", "ZENDSP_PASSWORD",
@@ -58,7 +58,7 @@ class Credentials:
 
 
 def common_name(certificate: str) -> str:
-    """Common name of a certificate (PEM), empty where it has none."""
+    """The common name of a certificate (PEM), empty where it has none."""
     subject = decoded(certificate).get("subject", ())
     return next((value for row in subject for name, value in row if name == "commonName"), "")
 
@@ -66,8 +66,8 @@ def common_name(certificate: str) -> str:
 def zenoh_config(
     endpoints: Sequence[str], credentials: Credentials, timeout: float, mode: str = "peer"
 ) -> zenoh.Config:
-    """Settings of a host's session: it listens nowhere, connects to ``endpoints`` only, and comes
-    back after an outage.
+    """Settings of a host's session: it listens nowhere, connects to ``endpoints`` only, and
+    reconnects after an outage.
 
     Parameters
     ----------
@@ -136,8 +136,8 @@ def _check(credentials: Credentials) -> None:
 
 
 def doubts(credentials: Credentials) -> str:
-    """The visible faults of credentials in words, for a target that does not answer. They refuse
-    nothing: the clock of this computer may be wrong.
+    """The visible faults of credentials in words, for a target that does not answer. They do not
+    prevent connecting, since the clock of this computer may be wrong.
     """
     for what, file, renewed in (
         ("certificate", credentials.certificate, "'zendsp keys user NAME --role ROLE --renew'"),

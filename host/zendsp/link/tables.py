@@ -1,4 +1,5 @@
-"""Large arrays to the target: in chunks with checksums, switched over in one sample when complete.
+"""Sends large arrays to the target, in chunks with checksums; the loop switches over in one sample
+when all are there.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _DTYPES = {"double": "<f8", "float": "<f4", "int32": "<i4", "bool": "|b1"}
 
 
 class Tables(Part):
-    """Methods of a target that concern large arrays."""
+    """Large arrays of a target's program."""
 
     def upload(
         self,
@@ -33,7 +34,7 @@ class Tables(Part):
         progress: Callable[[float], None] | None = None,
         patience: float = PATIENCE_S,
     ) -> int:
-        """Send a large array, for example a reference of minutes, while the loop runs.
+        """Send a large array, for example a reference of several minutes, while the loop runs.
 
         Parameters
         ----------
@@ -86,7 +87,7 @@ class Tables(Part):
 
 
 def _check_shape(info: m.VariableInfo, shape: tuple[int, ...]) -> None:
-    """Refuse what would be played as other columns than were meant, and what is empty."""
+    """Refuse an empty array, and one whose columns are not those of the table."""
     rows = "rows" if info.kind == VariableKind.TABLE else info.length // info.columns
     if len(shape) > 1 and (len(shape) > 2 or shape[1] != info.columns):
         raise VariableError(

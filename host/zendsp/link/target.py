@@ -32,7 +32,9 @@ Result = TypeVar("Result")
 
 
 class _of(Generic[Given, Result]):
-    """A method of a part, as a method of the target: looked up once, it is an attribute."""
+    """A descriptor: a method of a part, as a method of the target. Once looked up, it is an
+    attribute of the target.
+    """
 
     def __init__(self, part: str, method: Callable[Concatenate[Any, Given], Result]) -> None:
         self._part, self._method = part, method
@@ -214,7 +216,7 @@ class Target:
 
     @property
     def staged(self) -> dict[str, Assignable]:
-        """What is staged for the next `update`."""
+        """The values that are staged for the next `update`."""
         return self.variables.staged
 
     @property
@@ -233,10 +235,10 @@ class Target:
         return self.link.alive
 
     def reconnect(self) -> None:
-        """Look the target up again and connect to it: one that was restarted has another address.
+        """Look the target up again and connect to it; one that was restarted has another address.
 
-        An outage of the link alone needs no call: the connection comes back by itself. Live views
-        go on; what is staged stays.
+        After an outage of the link alone no call is needed: the connection comes back by itself.
+        Live views continue; staged values stay staged.
 
         Raises
         ------
@@ -256,8 +258,7 @@ class Target:
         link.take_over(old)
 
     def close(self) -> None:
-        """End the connection; a target started by `zendsp.local` ends with it, others go on.
-        """
+        """End the connection. A target started by `zendsp.local` ends with it, others go on."""
         self.link.close()
         if self._on_close is not None:
             on_close, self._on_close = self._on_close, None
@@ -276,7 +277,9 @@ class Target:
         return [*self.variables(), *self.builtins()]
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: how the target does, and the program's variables now."""
+        """The state of the target and the present values of the program's variables, for a
+        notebook.
+        """
         if not self.alive:
             return sentence(repr(self))
         status = self.status()

@@ -1,9 +1,9 @@
-"""Recorded rows on their way home.
+"""Loads recorded rows from the target.
 
-Over the link they come in checked chunks, each put in its place, and resume after a broken link. A
-host of the target's own user on the same computer reads them where the loop wrote them, in shared
-memory: Zenoh over a Unix socket would bring them at a third of that speed, and both processes would
-have to compute for it.
+Over the link the rows come in checked chunks, each put in its place, and the transfer resumes after
+a broken link. A host of the target's own user on the same computer reads the rows in shared memory,
+where the loop wrote them: Zenoh over a Unix socket would bring them at a third of that speed, with
+work for both processes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MOST_IDLE = 3  # requests in a row without a single row, until it is given up
 
 
 class Rows:
-    """Rows as they arrive, each chunk checked and put in its place."""
+    """Memory for rows: each chunk that arrives is checked and put in its place."""
 
     def __init__(self, columns: int, rows: int) -> None:
         self.data: FloatArray = np.empty((rows, columns))
@@ -69,8 +69,7 @@ class Rows:
 
 
 def open_held(held: m.Held) -> int:
-    """Open the file that holds the rows; -1 where it is not to be had from here.
-    """
+    """Open the file that holds the rows; return -1 where it cannot be opened from here."""
     try:
         if not held.path or Path(KERNEL).read_text().strip() != held.kernel:
             return -1
@@ -115,7 +114,7 @@ def read_held(file: int, held: m.Held, first: int, rows: FloatArray) -> None:
 
 
 class Transfers(Part):
-    """Methods of a target that fetch rows of the recorder."""
+    """Loads rows of a target's recorder."""
 
     def load_rows(
         self,
@@ -125,7 +124,8 @@ class Transfers(Part):
         progress: Callable[[float], None] | None = None,
         patience: float = PATIENCE_S,
     ) -> FloatArray:
-        """Load rows of the recorder, shape ``(count, columns)``; resumes after a broken link.
+        """Rows of the recorder, shape ``(count, columns)``; the transfer resumes after a broken
+        link.
 
         Raises
         ------

@@ -22,8 +22,8 @@ _FLOATS = frozenset((float,))
 
 
 class Reading(msgspec.Struct, frozen=True):
-    """Values of several variables, all from sample ``tick``; a struct of msgspec, which is made in
-    C at each reading.
+    """Values of several variables, all from sample ``tick``. It is a struct of msgspec, since one
+    is made at each reading.
     """
 
     tick: int
@@ -51,7 +51,7 @@ def _after(ended: str) -> str:
 
 
 class Variables(Part):
-    """Methods of a target that concern its variables; called, it gives their dictionary."""
+    """The variables of a target's program; called, it returns their dictionary."""
 
     def __init__(self, requests: Requests) -> None:
         super().__init__(requests)
@@ -65,7 +65,7 @@ class Variables(Part):
         )
 
     def __getitem__(self, name: str) -> Value:
-        """Read one variable, or one element ``"q[1]"`` of an array, now.
+        """The present value of one variable, or of one element ``"q[1]"`` of an array.
 
         Warns
         -----
@@ -109,8 +109,8 @@ class Variables(Part):
         self.write(**{name: value})
 
     def read(self, names: Sequence[str]) -> Reading:
-        """Read several variables, all from one sample, in which all acts that was written here
-        before.
+        """Values of several variables, all from one sample, in which everything that was written
+        here before is in effect.
 
         Parameters
         ----------
@@ -137,16 +137,16 @@ class Variables(Part):
         return Reading(found.tick, values, found.ended)
 
     def write(self, /, **values: Assignable) -> int:
-        """Write variables asynchronously; the reply does not wait for the sample, the next `read`
-        does. Returns the sequence number.
+        """Write variables asynchronously; return the sequence number. The reply does not wait for
+        the sample; the next `read` does.
         """
         written: m.Written = self._requests.link.request("write", {"values": _wire(values)})
         self._written = written.sequence
         return written.sequence
 
     def stage(self, /, **values: Assignable) -> dict[str, Assignable]:
-        """Note values for the next `update`, which the target has checked; returns all that
-        is staged.
+        """Keep values for the next `update`, once the target has checked them; return all that is
+        staged.
 
         Raises
         ------
@@ -161,11 +161,11 @@ class Variables(Part):
 
     @property
     def staged(self) -> dict[str, Assignable]:
-        """What is staged."""
+        """The values that are staged."""
         return dict(self._staged)
 
     def discard(self) -> dict[str, Assignable]:
-        """Forget what is staged, and return it."""
+        """Forget the staged values, and return them."""
         staged, self._staged = self._staged, {}
         return staged
 
@@ -217,11 +217,11 @@ class Variables(Part):
         return tick
 
     def fade(self, seconds: float, /, **values: Assignable) -> int:
-        """Lead numbers over to their new values while the program runs, slowly at first, so that no
-        gain steps the torque; waits for the end.
+        """Move numbers gradually to their new values while the program runs, and wait for the end:
+        no gain then steps the torque.
 
-        Whole numbers, flags and tables switch at the end. Another update ends the fade of what it
-        writes. Of a program that does not run all values are set at once.
+        Whole numbers, flags and tables switch at the end. Another update ends the fade of the
+        variables that it writes. Where the program does not run, all values are set at once.
 
         Parameters
         ----------
@@ -244,7 +244,7 @@ class Variables(Part):
         return applied.tick
 
     def update_alone(self, values: Mapping[str, Assignable]) -> int:
-        """As `update`, of these values only: what is staged stays staged."""
+        """As `update`, of these values only; staged values stay staged."""
         staged, self._staged = self._staged, {}
         try:
             return self.update(None, **values)
@@ -258,7 +258,9 @@ class Variables(Part):
         return Dictionary({info.name: info for info in self.request("variables")})
 
     def builtins(self) -> Dictionary:
-        """Signals that exist undeclared and can be recorded: tick, t, exec_us, enc, aout, …"""
+        """Signals that exist without being declared and can be recorded: tick, t, exec_us, enc,
+        aout, …
+        """
         return Dictionary({info.name: info for info in self.request("builtins")})
 
     def log(self, since: int = 0) -> Log:
@@ -273,12 +275,12 @@ class Variables(Part):
 
 
 def plain(value: Any) -> Any:
-    """Turn a value as it came over the wire into bool, int, float or a list."""
+    """A value that came over the wire, as bool, int, float or list."""
     return from_wire(value).tolist() if isinstance(value, Packed) else value  # type: ignore[union-attr]
 
 
 def _wire(values: Mapping[str, Assignable]) -> Mapping[str, WireValue]:
-    """Values as they go over the wire; nearly always they are ready as they are."""
+    """Values in types that the wire has; nearly always they are so already."""
     if _FLOATS.issuperset(map(type, values.values())):
         return cast("Mapping[str, WireValue]", values)
     ready: dict[str, WireValue] = {}

@@ -1,5 +1,5 @@
-"""The remaining steps, in order, until the program of a target runs: after a STOP, a trip, a lost
-host, or at the beginning.
+"""The steps that remain until the program of a target runs: after a STOP, a trip, a lost host, or
+at the beginning.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ HOLD = "hold"  # the parameter by which a lost host, or an abort, brings a progr
 def way_back(
     status: m.Status, drive: m.DriveStatus, me: str = "", held: bool = False
 ) -> tuple[str, ...]:
-    """Return the steps, by the names in `COMMANDS` or as sentences; none where the program runs.
+    """The steps in their order, as names in `COMMANDS` or as sentences; none where the program
+    runs.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def way_back(
 
 
 def said(steps: tuple[str, ...], target: str = "", connect: str | None = None) -> str:
-    """Return the steps as commands to be typed one after another, "" where there are none.
+    """The steps as commands to type one after another, "" where there are none.
 
     Parameters
     ----------

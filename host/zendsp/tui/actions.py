@@ -239,8 +239,8 @@ def bindings(scope: str) -> list[BindingType]:
 
 
 def keys_of(steps: Sequence[str], words: bool = False) -> str:
-    """Return the steps of `zendsp.link.way_back` as keys, with what each does where `words`. What
-    no key does comes alone: nothing after it would be granted.
+    """The steps of `zendsp.link.way_back` as keys, with what each does where `words`. A step
+    without a key ends the list: the steps after it would be refused.
     """
     told = {
         a.name: f"{a.shown_key} {a.label.lower()}" if words else a.shown_key
@@ -265,7 +265,7 @@ DONE_BY = (
 
 
 def in_keys(text: str) -> str:
-    """Return what the target or the link says, with keys in the place of commands of the shell."""
+    """A text of the target or the link, with keys in place of shell commands."""
     for words, name in DONE_BY:
         action = next(a for a in ACTIONS if a.name == name)
         key = action.keys.title() if "+" in action.keys else action.keys

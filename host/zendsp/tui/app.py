@@ -102,7 +102,7 @@ class ZendspApp(TypeAhead):
     # -- life
 
     def _kept(self, name: str, make: type[LabScreen]) -> LabScreen:
-        """The screen of a mode, made when it is first shown."""
+        """The screen of a mode; it is made when it is first shown."""
         if name not in self._screens:
             self._screens[name] = make()
         return self._screens[name]
@@ -139,7 +139,7 @@ class ZendspApp(TypeAhead):
             self.targets.look_around()
 
     def post_display_hook(self) -> None:
-        """Tell the process of the keys of the first picture, as soon as it is drawn."""
+        """Once the first picture is drawn, tell the process that reads the keys."""
         if self._blind and self.screen_stack and isinstance(self.screen, LabScreen):
             self._mark_picture()
 
@@ -158,8 +158,8 @@ class ZendspApp(TypeAhead):
             self._see()
 
     async def _build_others(self, names: Iterable[str]) -> None:
-        """Build the other screens behind the first picture: none has to be built when its key is
-        pressed.
+        """Build the other screens after the first picture, so that none has to be built when its
+        key is pressed.
         """
         shown = self.current_mode
         with self.batch_update():
@@ -179,7 +179,7 @@ class ZendspApp(TypeAhead):
             self.session.stops.stop()
 
     async def action_quit(self) -> None:
-        """Leave; where the machine moves, ask first what is to become of it."""
+        """Leave. Where the machine moves, first ask what shall become of it."""
         if not moves(self.session.snapshot):
             self.exit()
         elif not isinstance(self.screen, Leave):
@@ -190,7 +190,7 @@ class ZendspApp(TypeAhead):
             )
 
     def action_suspend(self) -> None:
-        """Say why the terminal does not sleep."""
+        """Say why Ctrl+Z does not suspend the terminal."""
         s = self.session.snapshot
         left = f" ({becomes(s)})" if s.mine or moves(s) else ""
         text = f"nothing is suspended: a terminal that sleeps is a lost host{left}; Ctrl+Q leaves"
@@ -198,7 +198,7 @@ class ZendspApp(TypeAhead):
         self.toast(text, "warning")
 
     def action_help_quit(self) -> None:
-        """Ctrl+C where it ends nothing: say what leaves and what stops."""
+        """On Ctrl+C where it ends nothing, say which keys leave and stop."""
         self.toast("Ctrl+C ends nothing here: Ctrl+Q leaves, F9 is STOP", "warning")
 
     def _leave(self, keys: list[str] | None) -> None:
@@ -208,7 +208,9 @@ class ZendspApp(TypeAhead):
             self.run_worker(self._stop_and_leave, thread=True, group="leave")
 
     def _stop_and_leave(self) -> None:
-        """Stay where nothing says that it stopped: the banner then tells what to do."""
+        """STOP, then leave. Stay where the machine is not known to have stopped: the banner says
+        what to do.
+        """
         try:
             self.session.stops.stop().result()
         except Exception:
@@ -219,7 +221,7 @@ class ZendspApp(TypeAhead):
         self.call_from_thread(self.exit)
 
     def _plays(self) -> bool:
-        """Whether a run is under way that will put back what it has set."""
+        """Whether a run is under way that will restore what it has set."""
         job = getattr(self._screens.get("execute"), "job", None)
         return job is not None and bool(job.busy)
 
@@ -265,9 +267,11 @@ class ZendspApp(TypeAhead):
             self.drive(what, DriveAction.TAKE)
 
     def action_acknowledge(self) -> None:
-        """Acknowledge a trip or a STOP. The target would pause the program also where none is
-        latched: then the key belongs to another widget, such as an input field. Under a dialog it
-        is never a command: only STOP is.
+        """Acknowledge a trip or a STOP.
+
+        Where none is latched, the key goes to the widget with the focus, such as an input field:
+        the target would pause the program on an acknowledgement. Under a dialog it is never a
+        command.
         """
         now = self.session.snapshot
         latched = now.trip is not None or now.drive in LATCHED or now.crash
@@ -291,7 +295,9 @@ class ZendspApp(TypeAhead):
     # -- keys
 
     async def on_event(self, event: events.Event) -> None:
-        """Take a message that was read off a small terminal, before what a key does."""
+        """Remove the message from the bottom of a small terminal at the next key, before that key
+        acts.
+        """
         pressed = isinstance(event, events.Key) and not event.is_forwarded
         read = self._toasted is not None and time.monotonic() > self._toasted + READ_S
         if pressed and read and self.size.height < TALL:
@@ -300,7 +306,7 @@ class ZendspApp(TypeAhead):
         await super().on_event(event)
 
     def get_driver_class(self) -> type[Driver]:
-        """Read the keys that the process of STOP hands on."""
+        """The driver that reads the keys which the process of STOP hands on."""
         return with_stop(
             super().get_driver_class(),
             lambda: self.session.stops.stopper,
@@ -310,7 +316,7 @@ class ZendspApp(TypeAhead):
     # -- helpers of the screens
 
     def drive(self, label: str, action: DriveAction, **values: object) -> None:
-        """Ask something of the drives; a refusal is shown with its reason."""
+        """Ask the drives for an action; a refusal is shown with its reason."""
 
         def done(future: Future[str]) -> None:
             error = future.exception()
@@ -322,7 +328,7 @@ class ZendspApp(TypeAhead):
         self.session.do(label, lambda port: port.drive(action, **values)).add_done_callback(done)
 
     def _say(self, text: str) -> None:
-        """Say what was done, on the screen that is shown."""
+        """Show a sentence on the screen in front."""
         screen = next((s for s in self.screen_stack[::-1] if isinstance(s, LabScreen)), None)
         if screen is not None:
             screen.say(text, "good")
@@ -344,11 +350,11 @@ class ZendspApp(TypeAhead):
             self.screen.take_run(run)
 
     def await_run(self, reference: Path, then: Callable[[Run], None]) -> None:
-        """Do something with the next run of a reference, on Diagnose."""
+        """Call ``then`` with the next run of a reference, on Diagnose."""
         self._awaited = (reference, then)
 
     def run_made(self, run: Run) -> None:
-        """Hand a new run to whoever waits for one."""
+        """Hand a new run to the screen that waits for one."""
         if self._awaited is None or run.references != (self._awaited[0].name,):
             return
         (_, then), self._awaited = self._awaited, None
@@ -357,7 +363,7 @@ class ZendspApp(TypeAhead):
             self.call_later(then, run)
 
     def source_texts(self) -> dict[str, str]:
-        """Return the source being worked on, by file name; empty where there is none."""
+        """The source that is being worked on, by file name; empty where there is none."""
         if self.source is None or not self.source.is_file():
             return {}
         return gather(self.source)
@@ -367,9 +373,10 @@ class ZendspApp(TypeAhead):
         return shipped_programs()
 
     def toast(self, text: str, level: str = "information") -> None:
-        """Show a short message over the screen; brackets of units survive. On a small terminal it
-        takes the place of the keys at the bottom and of the message before, and goes with the next
-        key: it would cover the values.
+        """Show a short message over the screen; units in brackets are not read as markup.
+
+        On a small terminal, where it would cover the values, it replaces the keys at the bottom
+        until the next key, and the message before it.
         """
         if self.size.height < TALL:
             self.call_later(self.clear_notifications)  # also of those on their way
@@ -394,7 +401,8 @@ class ZendspApp(TypeAhead):
             yield SystemCommand(f"{a.label}{where} ({a.shown_key})", a.help, run)
 
     async def _run_named(self, action: Action) -> None:
-        """Do what the palette named, on the screen that it belongs to."""
+        """Carry out the action that was chosen in the palette, on the screen to which it belongs.
+        """
         if action.scope == "app":
             await self.run_action(action.name, self)
             return

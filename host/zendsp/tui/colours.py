@@ -23,8 +23,8 @@ class TraceColours:
 
 
 def trace_colours(theme: Theme) -> TraceColours:
-    """Return the trace colours for a theme: its own variables ``trace-1`` … where it has them, else
-    by darkness.
+    """The trace colours of a theme: its variables ``trace-1`` … where it has them, else a set for
+    dark or light themes.
     """
     base = DARK if theme.dark else LIGHT
     own = theme.variables

@@ -17,7 +17,7 @@ POLITELY = "import os; os.nice(10); "
 
 
 class Command:
-    """One command of zendsp, to be awaited.
+    """One command of zendsp, run in a process of its own.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Command:
     status: int | None  # of its end
 
     async def run(self) -> int:
-        """Run it to its end; the exit status, negative where a signal ended it."""
+        """Run it to its end; return the exit status, negative where a signal ended it."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self._process = process = await asyncio.create_subprocess_exec(
             sys.executable,
@@ -75,12 +75,12 @@ class Command:
         return self.status
 
     def interrupt(self) -> None:
-        """What Ctrl-C does in a terminal: it may still say what it has."""
+        """Interrupt it as Ctrl-C does in a terminal; it may still print what it has."""
         self._ended = self._process is None  # it has nothing to say yet
         self._signal(signal.SIGINT)
 
     def end(self) -> None:
-        """End it and all that it has started."""
+        """End it and every process that it has started."""
         self._ended = True
         self._signal(signal.SIGTERM)
 

@@ -1,5 +1,5 @@
-"""The compensation of a diagnosis as numbers for the running program, and how a program is built to
-take them.
+"""The compensation of a diagnosis as numbers for the running program, and the program that can take
+them.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ class Compensation:
     left_out: tuple[str, ...]  # what a torque cannot cancel, and why
 
     def fits(self, names: Iterable[str]) -> bool:
-        """Whether a program with these variables takes just these numbers."""
+        """Whether a program with these variables takes these numbers and no others."""
         own = {n for n in names if n.startswith("comp_") and n not in SETTINGS}
         return bool(self.values) and own == set(self.values)
 
     def acts(self, present: Mapping[str, Value]) -> bool:
-        """Whether a program with these values adds it now."""
+        """Whether a program with these values adds the compensation now."""
         same = all(float(present.get(n, float("nan"))) == v for n, v in self.values.items())
         return same and float(present.get(SHARE, 0.0)) > 0.0
 
 
 def compensation_of(d: Diagnosed) -> Compensation:
-    """Return the compensation of the findings that a torque can cancel.
+    """The compensation of those findings that a torque can cancel.
 
     Raises
     ------
@@ -68,7 +68,8 @@ def has_room(sources: Mapping[str, str]) -> bool:
 
 
 def written_out(program: Program, root: Path) -> tuple[Path, dict[str, str]]:
-    """Return where the loaded program goes in a folder, and its texts without a compensation.
+    """Where the loaded program is to be written in a folder, and its sources without a
+    compensation.
 
     Raises
     ------

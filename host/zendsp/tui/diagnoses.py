@@ -30,7 +30,7 @@ NEXT = "next_reference.mat"
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """One diagnosis: its card, and its report when asked for."""
+    """One diagnosis: its card; its report is read when asked for."""
 
     folder: Path
     name: str
@@ -52,7 +52,7 @@ class Diagnosed:
 
     @property
     def written(self) -> bool:
-        """Whether its report is there; report.html comes later, after the figures."""
+        """Whether its report is there. The page report.html comes later, after the figures."""
         return (self.folder / "report.json").is_file()
 
     @property
@@ -73,7 +73,7 @@ class Diagnosed:
 
 
 def begin(root: Path, name: str) -> tuple[Path, Path]:
-    """Return a folder for a diagnosis to be made in, and where it goes once it is whole."""
+    """The folder in which a diagnosis is made, and the one that it becomes once it is complete."""
     stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{file_name(name)}"
     folder, n = root / stem, 2
     while folder.exists():
@@ -82,7 +82,7 @@ def begin(root: Path, name: str) -> tuple[Path, Path]:
 
 
 def keep(made: Diagnosed, folder: Path) -> Diagnosed:
-    """Put the card beside a report and the folder in its place."""
+    """Write the card beside a report and move the folder to its place."""
     card = replace(made, folder=folder)
     values = {key: value for key, value in asdict(card).items() if key != "folder"}
     (made.folder / CARD).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
@@ -91,7 +91,7 @@ def keep(made: Diagnosed, folder: Path) -> Diagnosed:
 
 
 def list_diagnoses(root: Path) -> list[Diagnosed]:
-    """Return the diagnoses, newest first; other folders are passed over."""
+    """The diagnoses, newest first; other folders are ignored."""
     found = []
     for path in root.glob(f"*/{CARD}"):
         try:
@@ -110,7 +110,7 @@ COLUMN = 24  # columns of each of two that are compared: both go into 80
 
 
 def compare(one: Diagnosed, other: Diagnosed) -> str:
-    """Return what sets two diagnoses apart, the first on the left."""
+    """The differences of two diagnoses, the first on the left."""
     rows: list[tuple[str, str, str]] = [
         ("", one.name, other.name),
         ("made", one.when, other.when),
@@ -140,7 +140,7 @@ def _names(d: Diagnosed) -> str:
 
 
 def recording_name(path: str) -> str:
-    """Return the name under which a person knows a recording: a run's folder, or the file."""
+    """The name by which a person knows a recording: that of a run's folder, or of the file."""
     file = Path(path)
     return file.parent.name if file.name == "recording.mat" else file.name
 
@@ -157,12 +157,14 @@ def _findings(report: Report) -> dict[str, str]:
 
 
 def other_fits(report: Report) -> list[FitReport]:
-    """Errors in the other unit, where joints slide and turn; of an older report none."""
+    """The errors in the other unit, where some joints slide and others turn; none in an older
+    report.
+    """
     return report.get("fit_other_unit", [])
 
 
 def _errors(d: Diagnosed) -> tuple[str, str]:
-    """On untouched recordings, of the calibrated and the improved model."""
+    """The errors of the calibrated and of the improved model on untouched recordings."""
     def said(of: Literal["calibrated", "improved"]) -> str:
         fits = (d.report["fit"], *other_fits(d.report))
         values = ((fit["test"][of], fit["unit"]) for fit in fits)

@@ -1,4 +1,4 @@
-"""The event log: what happened, when, for anyone to read from any thread."""
+"""The event log: what happened and when; any thread may read it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ KEPT = 2000
 
 
 class EventLog:
-    """The newest events; bounded, so that a day's use does not grow."""
+    """The newest events; the number is bounded, so that a day's use does not fill the memory."""
 
     def __init__(self) -> None:
         self._events: deque[Event] = deque(maxlen=KEPT)

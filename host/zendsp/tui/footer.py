@@ -1,7 +1,7 @@
-"""The keys at the bottom of every screen.
+"""The keys at the bottom of every screen, as one line of text.
 
-One line of text. Textual's footer makes a widget of each key, and styles all of them anew with
-every other focus: that took a third of what the terminal computes while keys are typed.
+Textual's own footer makes a widget of each key, and computes the styles of all of them at every
+change of focus. That took a third of the terminal's processor time while keys were typed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Key:
 
 
 class Keys(Widget):
-    """The keys: as many as have room, STOP and Help before all others. A click presses one."""
+    """The keys: as many as there is room for, STOP and Help first. A click on one presses it."""
 
     ALLOW_SELECT: ClassVar[bool] = False
     COMPONENT_CLASSES: ClassVar[set[str]] = {"keys--key", "keys--description", "keys--hover"}
@@ -73,7 +73,7 @@ class Keys(Widget):
 
     @property
     def shown(self) -> dict[Key, range]:
-        """The keys that are shown, and the columns that each takes."""
+        """The keys that are shown, with the columns that each takes."""
         room = self.size.width + 1  # nothing is beside the last one
         kept: set[Key] = set()
         for key in sorted(self._every, key=self._rank):

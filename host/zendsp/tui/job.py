@@ -1,4 +1,4 @@
-"""Work that a screen has begun, on a thread of its own; the screen looks at ``progress``."""
+"""Work that a screen has begun, on a thread of its own; the screen reads its ``progress``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a job is."""
+    """How far a job is."""
 
     phase: str
     share: float  # 0 … 1
@@ -26,7 +26,7 @@ class Progress:
 
 
 class Job(Generic[T]):
-    """Does ``_do(port)`` on a thread; ``result`` is what that returns, or its error."""
+    """Runs ``_do(port)`` on a thread; ``result`` is what that returns, or its error."""
 
     def __init__(self, session: Any, label: str) -> None:
         self.label = label
@@ -36,20 +36,20 @@ class Job(Generic[T]):
         self._abort = threading.Event()
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         background(f"tui-{self.label}", self._run)
 
     def abort(self) -> None:
-        """End it softly, at the next sign of progress."""
+        """Ask it to end; it does so at its next report of progress."""
         self._abort.set()
 
     @property
     def busy(self) -> bool:
-        """Whether it still goes on."""
+        """Whether it still runs."""
         return not self.result.done()
 
     def saved(self) -> str:
-        """What a job whose link was lost has kept, as the end of a sentence."""
+        """What a job has kept although its link was lost, as the end of a sentence."""
         return ""
 
     # -- on the thread

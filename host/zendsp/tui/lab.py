@@ -13,7 +13,7 @@ from zendsp_protocol.states import DriveAction
 
 
 class Lab(Protocol):
-    """What a screen may ask of :class:`zendsp.tui.app.ZendspApp`, where each is described."""
+    """What a screen may ask of :class:`zendsp.tui.app.ZendspApp`, which describes each of these."""
 
     session: Session
     workspace: Workspace

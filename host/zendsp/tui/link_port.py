@@ -58,7 +58,7 @@ class LinkPort:
         return self.target.link.over
 
     def snapshot(self) -> Snapshot:
-        """Ask for everything a screen shows; six quick requests at the most."""
+        """Everything that a screen shows, by at most six quick requests."""
         begin = time.perf_counter()
         s = self.target.status()
         latency = time.perf_counter() - begin
@@ -131,8 +131,8 @@ class LinkPort:
         )
 
     def _learn(self, program: str) -> None:
-        """Read the dictionary of a new program: its own variables first, then what the runtime
-        itself offers.
+        """Read the dictionary of a new program: its own variables first, then the runtime's
+        signals.
         """
         self._program = program
         if not program:
@@ -156,7 +156,7 @@ class LinkPort:
     # -- live
 
     def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]:
-        """Follow signals; returns what ends it."""
+        """Subscribe to signals; return a function that ends it."""
         rate = self.target.info.rate_hz
         decimation = max(1, round(rate / LIVE_RATE))
 
@@ -175,7 +175,7 @@ class LinkPort:
         return stopped(self.target.stop())
 
     def start(self, ticks: int | None = None) -> None:
-        """Start or continue the program; a terminal that dies lets go of it."""
+        """Start or continue the program. It goes on if this terminal dies."""
         self.target.start(ticks, attended=True)
 
     def pause(self) -> None:
@@ -187,7 +187,7 @@ class LinkPort:
         return self.target.program()
 
     def build(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> Build:
-        """Compile and, if that went well, download."""
+        """Compile, and load if that succeeded."""
         try:
             result = self.target.compile(dict(sources), flags)
         except CompileFailed as error:
@@ -202,21 +202,21 @@ class LinkPort:
     # -- variables
 
     def write(self, values: Mapping[str, Assignable]) -> int:
-        """Write asynchronously, then wait for the word that it acts."""
+        """Write asynchronously, then wait until the target says that it is in effect."""
         sequence = self.target.write(**values)
         applied: m.Applied = self.target.request("wait_applied", sequence=sequence, timeout=2.0)
         return applied.tick
 
     def update(self, values: Mapping[str, Assignable]) -> int:
-        """Apply all in one sample."""
+        """Apply all values in one sample."""
         return self.target.update(None, **values)
 
     def fade(self, values: Mapping[str, Assignable]) -> int:
-        """Lead them over while the program runs."""
+        """Move numbers gradually to their values while the program runs."""
         return self.target.fade(FADE_S, **values)
 
     def before(self, names: Iterable[str]) -> Before:
-        """Variables as they are now, to be put back after a run."""
+        """The present values of variables, to be restored after a run."""
         return Before(self.target, names, moves=True)
 
     def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int:
@@ -253,7 +253,7 @@ class LinkPort:
     # -- drives
 
     def drive(self, action: DriveAction, **values: Any) -> str:
-        """Ask something of the drives; homing is waited for."""
+        """Ask the drives for an action, and wait for a homing."""
         if action == DriveAction.HOME:
             return self.target.home_and_wait()
         if action == DriveAction.ACKNOWLEDGE:
@@ -273,21 +273,21 @@ class LinkPort:
         return self.target.acquire_status().state not in RECORDING
 
     def end_acquisition(self) -> None:
-        """Stop the recorder; what it holds stays."""
+        """Stop the recorder; its rows stay."""
         self.target.acquire_stop()
 
     def load(self, note: str = "") -> Recording:
-        """Bring home what the recorder holds."""
+        """Load the rows that the recorder holds."""
         return self.target.acquire_load(note)
 
     def acquire(self, shot: Shot, note: str = "") -> Recording:
-        """Record, wait, bring home."""
+        """Record, wait until it is complete, and load the rows."""
         return self.target.acquire(
             shot.channels, shot.seconds, shot.decimation, _trigger(shot), note=note
         )
 
     def close(self) -> None:
-        """Leave the target as it is (one that was started here ends)."""
+        """End the connection. The target goes on, unless it was started here."""
         self.target.close()
 
 
@@ -320,7 +320,7 @@ def open_port(name: str) -> LinkPort:
 
 
 def find_targets() -> list[tuple[str, str]]:
-    """Return the targets in reach as (name, description)."""
+    """The targets that answer, as (name, description)."""
     found = []
     for target in discover():
         info = target.info

@@ -1,4 +1,4 @@
-"""A measurement of the running machine, on a thread of its own: a frequency response, a sweep."""
+"""A measurement of the running machine, on a thread of its own: a frequency response or a sweep."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from zendsp.tui.port import Port, Tell
 
 
 class Aborted(Exception):
-    """The user ended it; the machine is as the measurement leaves it when it is interrupted."""
+    """The user ended it; the machine is in the state in which an interrupted measurement leaves it.
+    """
 
 
 class MeasureJob(Job[Any]):
-    """Does ``measure(port, tell)``, then ``keep(result)`` on the same thread.
+    """Runs ``measure(port, tell)``, then ``keep(result)`` on the same thread.
 
-    The result is that of ``keep``; None where it was aborted before ``reached`` was set to what
-    was measured until then. Where it failed, ``left`` is what ``keep`` made of that.
+    The result is what ``keep`` returns. An aborted measurement has none, unless it has put what was
+    measured so far into ``reached``. Where it failed, ``left`` is what ``keep`` returned for that
+    part.
     """
 
     def __init__(
@@ -34,7 +36,7 @@ class MeasureJob(Job[Any]):
         self.left: Any = None
 
     def saved(self) -> str:
-        """A sentence on what was measured before a failure; empty: nothing."""
+        """A sentence on what was measured before a failure; empty where that is nothing."""
         return "" if self.left is None else "; what was measured until then is kept"
 
     def _tell(self, share: float) -> None:

@@ -1,8 +1,8 @@
-"""One heap for all threads of a program that is left open all day.
+"""Makes all threads of a program share one heap, for a program that is left open all day.
 
-glibc gives nearly every thread a heap of its own, and each stays as large as its fullest moment:
-memory that nobody uses piles up with the threads of the link, in steps, over hours. With one heap
-what one thread frees the next one takes.
+glibc gives nearly every thread a heap of its own, and each heap keeps the size of its fullest
+moment. Over hours, unused memory accumulates with the threads of the link. In a shared heap, memory
+that one thread frees is used by the next.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ BLOCK = 128 << 10
 
 
 def keep_one_heap() -> bool:
-    """Ask glibc for one heap; call before threads start. False where the C library is another one,
-    and all stays as it is.
+    """Ask glibc for one heap, before threads are started. Returns False where the C library is
+    another one; nothing changes then.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

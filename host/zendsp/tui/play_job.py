@@ -1,4 +1,4 @@
-"""One run from Start to its folder on disk, on a thread of its own; the screen looks at
+"""One run, from Start to its folder on disk, on a thread of its own; the screen reads its
 ``progress``.
 """
 
@@ -33,7 +33,7 @@ USUAL = ("r", "q", "qd", "e", "tau")  # recorded where the user chose no channel
 
 
 def usual_channels(snapshot: Snapshot) -> tuple[str, ...]:
-    """Return reference, position, velocity, error and command signals that the program declares,
+    """The reference, position, velocity, error and command signals that the program declares,
     arrays first.
     """
     names = [v.name for v in snapshot.variables if v.kind == VariableKind.SIGNAL]
@@ -45,7 +45,7 @@ def usual_channels(snapshot: Snapshot) -> tuple[str, ...]:
 
 
 class PlayJob(Job[Run | None]):
-    """Pre-position, play, acquire, return, store."""
+    """Moves to the start, plays, records, returns, and stores the run."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class PlayJob(Job[Run | None]):
         return self._keep(port, first, outcome, why, (begins + plan.lead, ends + plan.lead))
 
     def _move(self, port: Port, plan: Plan) -> tuple[Snapshot, Outcome, str]:
-        """Play; returns what was before the first sample, the outcome, and why."""
+        """Play the motion; return the values before it, the outcome, and its reason."""
         playlist = plan.playlist
         for name, rows in plan.tables.items():
             port.fill(name, rows)
@@ -99,7 +99,8 @@ class PlayJob(Job[Run | None]):
         return before, *self._follow(port, plan, before.tick)
 
     def _put_back(self, port: Port, before: Before) -> None:
-        """Pause what still moves, and put back what the run has set, as a later start relies on it.
+        """Pause a program that still moves, and restore what the run has set, on which a later
+        start relies.
         """
         try:
             snapshot = port.snapshot()
@@ -112,8 +113,8 @@ class PlayJob(Job[Run | None]):
             self._session.events.add(f"run: {why}", "warning")
 
     def _rehearse(self, port: Port, plan: Plan) -> bool:
-        """Try the run on a simulated twin before anything moves, if the preflight has not; False
-        where it was aborted meanwhile.
+        """Try the run on a simulated twin before anything moves, unless the preflight has done so.
+        Returns False where it was aborted meanwhile.
         """
 
         def tell(share: float) -> None:
@@ -137,8 +138,8 @@ class PlayJob(Job[Run | None]):
         return Shot(channels, total, s.decimation, s.trigger, s.level, s.edge, s.pre_s)
 
     def _come_to_rest(self, port: Port, player: Player, clock: str) -> None:
-        """Let the program come to rest, and pause when the arm stands: a pause in motion would let
-        it coast.
+        """Bring the motion to rest, and pause once the arm stands: a pause in motion would let it
+        coast.
 
         A program without ``hold`` is given the present position as its reference, which is a step.
         """
@@ -157,7 +158,7 @@ class PlayJob(Job[Run | None]):
             port.update({"hold": False})
 
     def _follow(self, port: Port, plan: Plan, first: int) -> tuple[Outcome, str]:
-        """Watch until the end; returns the outcome, and why."""
+        """Watch the run until its end; return the outcome and its reason."""
         playlist, lead, total = plan.playlist, plan.lead, plan.seconds
         while True:
             s = port.snapshot()
@@ -213,7 +214,7 @@ class PlayJob(Job[Run | None]):
 def cut(
     recording: Recording, first_tick: int, rate_hz: float, play: tuple[float, float]
 ) -> Recording:
-    """Return the rows of the motion itself, without the way there and back."""
+    """The rows of the motion itself, without the way to its start and the way home."""
     start = (recording.start_tick - first_tick) / rate_hz
     step = recording.decimation / rate_hz
     a = max(round((play[0] - start) / step), 0)

@@ -1,10 +1,10 @@
-"""Playing a planned reference: one table of rows from where the arm stands, through the motion,
-back home; and who takes it.
+"""Plays a planned reference: one table of rows from the present position, through the motion, and
+home.
 
 A program can play references if it follows the convention of docs/references.md: a table ``ref``
-with one column for each joint, and where it has them ``ref_tau`` (torque that goes with the rows),
-``use_table`` (set to 1), ``row_rate`` (rows a second), ``approach_time`` (kept short: the table
-begins where the arm stands) and ``hold`` (set where a run is aborted).
+with one column for each joint, and optionally ``ref_tau`` (torque that goes with the rows),
+``use_table`` (set to 1), ``row_rate`` (rows a second), ``approach_time`` (kept short, since the
+table begins at the present position) and ``hold`` (set where a run is aborted).
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Player:
 
 @dataclass(frozen=True)
 class Playlist:
-    """Rows for the table, and what happens when."""
+    """The rows of the table, and the times of the phases."""
 
     rows: Floats  # (N, joints), rad
     torque: Floats  # (N, joints), N m; zero where the reference says nothing
@@ -77,7 +77,7 @@ class Playlist:
         return (len(self.rows) - 1) / self.rate
 
     def phase(self, t: float) -> str:
-        """Return the name of what happens at a time."""
+        """The name of the phase at a time."""
         return next((name for name, begin, end in self.phases if begin <= t < end), "holding")
 
     @property
@@ -107,10 +107,10 @@ def find_player(variables: Sequence[Variable]) -> Player | None:
 
 
 def present_position(snapshot: Snapshot, joints: int) -> Floats | None:
-    """Return where the arm stands by its encoders, or None where they are unknown.
+    """The position of the arm by its encoders, None where it is unknown.
 
-    A program's own signals would not do: before its first sample, and while it is paused, they are
-    not computed.
+    The program's own signals are not used: they are not computed before its first sample, nor while
+    it is paused.
     """
     return np.array(snapshot.position) if len(snapshot.position) == joints else None
 
@@ -138,7 +138,7 @@ def smooth_move(
 def make_playlist(
     references: Sequence[Reference], machine: Machine, start: Floats, setup: Setup, player: Player
 ) -> Playlist:
-    """Join everything into one table.
+    """One table of all motions and the moves between them.
 
     Parameters
     ----------
@@ -189,7 +189,9 @@ def make_playlist(
 
 
 def _require_playable(reference: Reference, player: Player, period: float) -> None:
-    """Refuse a reference that the program cannot take, or that does not go with the first."""
+    """Refuse a reference that the program cannot take, or that cannot be played together with the
+    first.
+    """
     if reference.joints != player.columns:
         raise ReferenceError_(
             f"the reference has {counted(reference.joints, 'joint')}, the program's table"
@@ -207,7 +209,7 @@ def _require_playable(reference: Reference, player: Player, period: float) -> No
 
 
 class _Rows:
-    """Rows that are played one after the other, and what happens in them."""
+    """Collects the rows that are played one after the other, with their phases."""
 
     def __init__(self, start: Floats, period: float) -> None:
         self.here = start  # where the rows end
@@ -218,11 +220,11 @@ class _Rows:
         self._end_s = 0.0
 
     def away(self, place: Floats) -> float:
-        """How far a place is from the end of the rows, rad."""
+        """The distance of a position from the last row, rad."""
         return float(np.abs(place - self.here).max())
 
     def add(self, name: str, rows: Floats, torque: Floats | None = None) -> None:
-        """Play these rows next."""
+        """Append rows as a phase of this name."""
         self._motion.append(rows)
         self._torque.append(np.zeros_like(rows) if torque is None else torque)
         begin, self._end_s = self._end_s, self._end_s + len(rows) * self._period
@@ -230,7 +232,7 @@ class _Rows:
         self.here = rows[-1]
 
     def playlist(self, capacity: int) -> Playlist:
-        """All rows, or as many as a table takes; the last is among them."""
+        """All rows, thinned where the table is too small; the last one is always among them."""
         rows, torque = np.vstack(self._motion), np.vstack(self._torque)
         thin = _thinning(len(rows), capacity, round(1.0 / self._period))
         if thin > 1:
@@ -240,9 +242,7 @@ class _Rows:
 
 
 def _thinning(rows: int, capacity: int, rate: int) -> int:
-    """Return every how many rows one is kept: they must fit, and the rows a second must stay a
-    whole number.
-    """
+    """Of how many rows one is kept, so that they fit and the rows a second are a whole number."""
     thin = 1
     while rows // thin + 2 > capacity or rate % thin:
         thin += 1
@@ -263,5 +263,5 @@ def player_values(player: Player, playlist: Playlist) -> dict[str, Assignable]:
 
 
 def lead_time(player: Player) -> float:
-    """Return the time from the start of the program to the first row, s."""
+    """The time from the start of the program to the first row, s."""
     return APPROACH_S if "approach_time" in player.parameters else 0.0

@@ -1,4 +1,5 @@
-"""What the terminal needs of a target; ``link_port`` fulfils it with a :class:`zendsp.link.Target`.
+"""What the terminal needs of a target; ``link_port`` implements it with a
+:class:`zendsp.link.Target`.
 """
 
 from __future__ import annotations
@@ -77,7 +78,9 @@ class Tries:
 
 
 class Port(Protocol):
-    """Every call may raise ``ZendspError``; ``LinkError`` means that the target is out of reach."""
+    """A target as the terminal uses it. Every call may raise ``ZendspError``; ``LinkError`` means
+    that the target cannot be reached.
+    """
 
     here: bool  # the target was started by this terminal, and ends with it
 

@@ -1,4 +1,4 @@
-"""The conditions of starting a run; each line says what to do about it."""
+"""The conditions of starting a run; each line says what to do where it is not met."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class Condition:
 
 
 def machine_of(snapshot: Snapshot) -> Machine | None:
-    """Return the shipped description of the target's machine, else one of the limits that the
-    target tells; None while nobody knows.
+    """The shipped description of the target's machine, else one made of the limits that the target
+    tells; None while neither is known.
     """
     said, limits = snapshot.described, snapshot.limits
     name = said.name if said is not None else snapshot.machine
@@ -75,8 +75,8 @@ def preflight(
     trial: Trial,
     port: Port | None,
 ) -> list[Condition]:
-    """Return every condition of Start, in the order in which one would see to them; has the run
-    tried where it can be.
+    """The conditions of Start, in the order in which one would meet them. Has the run tried on a
+    twin where that is possible.
     """
     s = snapshot
     plan = None
@@ -162,8 +162,8 @@ def _no_link(s: Snapshot) -> Condition:
 
 
 def _steps(s: Snapshot) -> str:
-    """Return the keys that are still to be pressed until the drives are enabled. On automatic
-    drives home and enable switch the power on, and a program that runs has to be paused first.
+    """The keys still to press until the drives are enabled. On automatic drives home and enable
+    switch the power on, and a running program has to be paused first.
     """
     needs = {name for name, met, _ in s.conditions if not met}
     steps = {
@@ -180,7 +180,7 @@ def _names(files: Sequence[Path]) -> str:
 
 
 def _misfit(references: Sequence[Reference], machine: Machine) -> tuple[str, str]:
-    """Why one of them cannot be played by this machine, and what is to be told of them else."""
+    """Why this machine cannot play one of the references, and what else to say about them."""
     told = ""
     for reference in references:
         try:
@@ -228,7 +228,7 @@ def _playable(
 
 
 def _tried(plan: Plan, trial: Trial, moving: bool) -> Condition:
-    """What the run would do by the simulated twin, before Start."""
+    """The condition that the run stays within limits on the simulated twin."""
     found, problem = trial.found(plan), trial.problem(plan)
     if found is not None and not found.simulated:
         return Condition(f"not tried: {found.text}", True, warning=True)

@@ -1,4 +1,4 @@
-"""Shows a reference on the scope: its curves by view, its path in the plane, its peaks against the
+"""Shows a reference on the scope: its curves, its path in the plane, and its peaks against the
 limits.
 """
 
@@ -18,8 +18,8 @@ QUANTITIES = ("position", "velocity", "acceleration", "torque")
 
 
 def views_of(reference: Reference, tall: bool = True, torque: bool = True) -> list[str]:
-    """Return the views there are: everything at once for one or two joints where there is room,
-    else one quantity; torque where it is known.
+    """The views of a reference: all quantities at once for one or two joints where there is room,
+    else one quantity each; torque where it is known.
     """
     every = ["all"] if reference.joints <= 2 and tall else []
     return [*every, *(q for q in QUANTITIES if torque or q != "torque"), "path"]
@@ -40,7 +40,7 @@ def _effort(unit: str) -> str:
 
 
 def curves_of(scope: Scope, reference: Reference, tau: Floats | None, view: str) -> None:
-    """Put a reference on a scope that is not live; ``tau`` is None where no torque is predicted."""
+    """Put a reference on a scope that is not live. ``tau`` is None where no torque is predicted."""
     chosen = _columns(reference, tau)
     if view != "all":
         chosen = {view: chosen[view]}
@@ -59,7 +59,7 @@ def curves_of(scope: Scope, reference: Reference, tau: Floats | None, view: str)
 
 
 def limits_of(machine: Machine) -> dict[str, list[float]]:
-    """Return the limits of a machine by unit, as the scope draws them."""
+    """The limits of a machine by unit, to be drawn on the scope."""
     lim = machine.limits
 
     def known(*values: Floats) -> list[float]:
@@ -80,9 +80,12 @@ MANY = 5  # joints, from which on a narrow screen has no room for a number of ea
 def peaks_of(
     machine: Machine, reference: Reference, tau: Floats | None, brief: bool = False
 ) -> list[list[tuple[float, str]]]:
-    """Return for each quantity the peaks of the joints as (share of the limit, words), – for one
-    that is not known; of positions the share of the way from the middle of the range to its end.
-    ``brief`` leaves the values out, and of many joints says which comes nearest.
+    """The peaks of the joints for each quantity, as (share of the limit, words), – where it is not
+    known.
+
+    For positions the share is that of the way from the middle of the range to its end. With
+    ``brief`` the values are left out, and of many joints only the one nearest to its limit is
+    named.
     """
     lim = machine.limits
     low, high = lim.position_min, lim.position_max
@@ -116,9 +119,7 @@ def peaks_of(
 
 
 def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], Axes]:
-    """Return the curves, and how they are framed: the tip's path,
-    else the phase plane.
-    """
+    """The path of the tip, else the phase plane, as curves with their axes."""
     if machine.kind == "planar2r":
         l1, l2 = float(machine.parameters["l1"]), float(machine.parameters["l2"])
         angle = np.linspace(0.0, 2.0 * np.pi, 181)
@@ -145,7 +146,7 @@ def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], Axes]:
 
 
 def joint_positions(machine: Machine, q: Floats) -> Floats:
-    """Return where the frames of a serial arm stand (standard Denavit–Hartenberg), the base first.
+    """The positions of the frames of a serial arm (standard Denavit–Hartenberg), the base first.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ def joint_positions(machine: Machine, q: Floats) -> Floats:
 
 
 def _spatial_path(machine: Machine, reference: Reference) -> tuple[list[Curve], Axes]:
-    """Path of the tip seen along the axis in which it moves least."""
+    """The path of the tip, seen along the axis in which it moves least."""
     places = joint_positions(machine, np.asarray(reference.q)[:: max(reference.samples // 2000, 1)])
     tip = places[:, -1]
     extent = tip.max(axis=0) - tip.min(axis=0)

@@ -31,7 +31,7 @@ DATA, CARD = "recording.mat", "run.json"
 
 
 class Outcome(StrEnum):
-    """How a run ended, or what made it where no motion was played."""
+    """How a run ended; or, where no motion was played, what made the recording."""
 
     COMPLETE = "complete"
     ABORTED = "aborted"
@@ -63,18 +63,18 @@ class Run:
     units: Mapping[str, str] = field(default_factory=dict)  # of these
 
     def rms(self, name: str, digits: int = 3) -> str:
-        """One of the errors, with its unit where it is known."""
+        """One of the errors, with its unit where that is known."""
         return f"{self.errors[name]:.{digits}g} {self.units.get(name, '')}".rstrip()
 
     @property
     def worst(self) -> str:
-        """The largest of the errors and which, with its unit; empty where there are none."""
+        """The largest of the errors, with its name and unit; empty where there are none."""
         name = max(self.errors, key=lambda n: self.errors[n], default="")
         return f"{self.rms(name, 2)} {name}" if name else ""
 
     @property
     def ending(self) -> str:
-        """The outcome, and why."""
+        """The outcome and its reason."""
         return f"{self.outcome}: {self.why}" if self.why else str(self.outcome)
 
     def recording(self) -> Recording:
@@ -83,9 +83,7 @@ class Run:
 
 
 def error_figures(recording: Recording) -> dict[str, float]:
-    """Return the root mean square of every column whose name begins with ``e``: e, e1, e[0], error
-    …
-    """
+    """The root mean square of every column that is an error by its name: e, e1, e[0], error …"""
     figures = {}
     for k, name in enumerate(recording.columns):
         stem = name.split("[")[0].rstrip("0123456789")
@@ -107,7 +105,7 @@ def store_run(
     outcome: Outcome = Outcome.COMPLETE,
     why: str = "",
 ) -> Run:
-    """Keep a run; the folder appears complete or not at all.
+    """Store a run; its folder appears complete or not at all.
 
     Raises
     ------
@@ -185,7 +183,7 @@ def _write_card(folder: Path, run: Run) -> None:
 
 
 def load_card(folder: Path) -> Run:
-    """Read the card of one run; raises ValueError where it is not one."""
+    """The card of one run; raises ValueError where the folder holds none."""
     try:
         card = written.json((folder / CARD).read_text())
         card["references"] = tuple(card.get("references", ()))
@@ -196,7 +194,7 @@ def load_card(folder: Path) -> Run:
 
 
 def list_runs(runs: Path) -> list[Run]:
-    """Return the runs, newest first; other folders are passed over."""
+    """The runs, newest first; other folders are ignored."""
     found = []
     if runs.is_dir():
         for folder in runs.iterdir():
@@ -210,7 +208,7 @@ def list_runs(runs: Path) -> list[Run]:
 
 
 def rename_run(run: Run, name: str) -> Run:
-    """Give a run another name; its folder keeps its own, so that links to it stay whole."""
+    """Give a run another name. Its folder keeps its name, so that links to it stay valid."""
     renamed = replace(run, name=name)
     _write_card(run.folder, renamed)
     return renamed
@@ -230,7 +228,7 @@ def discard_run(run: Run) -> Path:
 
 
 def compare(runs: Sequence[Run]) -> str:
-    """Return what sets runs apart: errors, parameters, source."""
+    """The differences between runs: errors, parameters, source."""
     import difflib
 
     recordings: list[Recording] = [run.recording() for run in runs]

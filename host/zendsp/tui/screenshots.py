@@ -27,7 +27,7 @@ PATIENCE_S = 180.0  # for a diagnosis on a busy machine
 
 
 async def _until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
-    """Wait for a condition; a machine that is busy may take its time."""
+    """Wait for a condition; a busy computer may take long."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > deadline:
@@ -60,7 +60,7 @@ def _app(work: Path, first: str) -> ZendspApp:
 
 
 async def _enabled(app: ZendspApp, pilot: Pilot[None]) -> None:
-    """Build, power, enable."""
+    """Build the program, switch the power on, enable."""
     await _until(pilot, lambda: app.session.snapshot.link == LinkState.UP)
     await pilot.press("b")
     await _until(
@@ -154,7 +154,7 @@ async def _reference(folder: Path, work: Path) -> list[Path]:
 
 
 def _bench(work: Path) -> tuple[Path, Path]:
-    """A recording of a joint with friction and a ripple, and a model without."""
+    """Write a recording of a joint with friction and a ripple, and a model without them."""
     from zendsp.physics import model_text, parse_model, simulate_loop
 
     known = {

@@ -1,9 +1,9 @@
-"""Talks to the target from threads of its own and keeps the newest snapshot; screens only ever read
-that.
+"""Talks to the target from its own threads and keeps the newest snapshot, which is all that screens
+read.
 
-Three lanes, so that nothing waits for something slower: the poller takes snapshots and reconnects,
-the worker does what the user asked in order, and STOP (:mod:`zendsp.tui.stop_lane`) stands behind
-neither.
+There are three threads, so that nothing waits for something slower: the poller takes snapshots and
+reconnects, the worker does what the user asked for, in order, and STOP
+(:mod:`zendsp.tui.stop_lane`) waits for neither.
 """
 
 from __future__ import annotations
@@ -89,7 +89,9 @@ class Session:
         self._drop()
 
     def connect(self, name: str) -> None:
-        """Talk to another target from now on; returns at once, the snapshot tells how it goes."""
+        """Talk to another target from now on. Returns at once; the snapshot tells whether it
+        succeeded.
+        """
         self._drop()
         with self._lock:
             self._name = name
@@ -98,12 +100,12 @@ class Session:
         self._wake.set()
 
     def tell_found(self, names: Sequence[str]) -> None:
-        """Show which targets answer, as long as none is connected."""
+        """Show which targets answer, while none is connected."""
         if self.snapshot.link == LinkState.NONE:
             self.snapshot = replace(self.snapshot, here=tuple(names))
 
     def await_start(self, machine: str) -> None:
-        """Show that a machine is being started here; "": none is any more."""
+        """Show that a machine is being started here; "": that none is."""
         if self._port is None:
             link = LinkState.STARTING if machine else LinkState.NONE
             self.snapshot = Snapshot(link=link, target=machine)
@@ -120,9 +122,10 @@ class Session:
     # -- what the user asks
 
     def do(self, label: str, job: Callable[[Port], T]) -> Future[T]:
-        """Run a job against the target on the worker thread, after those asked before. What goes
-        wrong becomes an event and the future's error; so does what comes before its turn: a STOP, a
-        pause, the failure of what it waited for.
+        """Run a job against the target on the worker's thread, after those asked for before.
+
+        A failure becomes an event and the error of the future. So does a cancellation before its
+        turn: by a STOP, by a pause, or because a job that it waited for has failed.
         """
         future: Future[T] = Future()
         if busy := self.busy:
@@ -132,17 +135,17 @@ class Session:
 
     @property
     def busy(self) -> str:
-        """What the worker does, where it takes longer than a moment."""
+        """What the worker is doing, once it takes longer than a moment."""
         doing = self._doing
         return doing[0] if doing and time.monotonic() - doing[1] > A_MOMENT_S else ""
 
     def do_first(self, label: str, job: Callable[[Port], T]) -> Future[T]:
-        """Run a job at once, and nothing of what waits: a pause ends a homing."""
+        """Run a job at once and drop those that wait: a pause, for example, ends a homing."""
         self._void = (time.monotonic(), f"{label} came")
         return self.do_beside(label, job)
 
     def do_beside(self, label: str, job: Callable[[Port], T]) -> Future[T]:
-        """Run a job that takes long on a thread of its own: the worker's go on meanwhile."""
+        """Run a long job on a thread of its own; the worker goes on with others."""
         future: Future[T] = Future()
         background(f"tui-{label}", self._run, future, label, job, time.monotonic())
         return future
@@ -153,7 +156,7 @@ class Session:
         return self._port
 
     def require(self) -> Port:
-        """Return the open port; raises LinkError where there is none."""
+        """The open port; raises LinkError where there is none."""
         port = self._port
         if port is None:
             lost = self.snapshot.link == LinkState.LOST
@@ -162,8 +165,8 @@ class Session:
         return port
 
     def told(self, error: Exception, more: str = "") -> Exception:
-        """Return the error of a job as it is told. Of a link that was lost meanwhile the status bar
-        has said how; that the terminal then closed the connection is no news.
+        """The error of a job as it is shown. If the link was lost meanwhile, the status bar shows
+        that already, so an error about the closed connection is replaced.
         """
         if not isinstance(error, LinkError) or isinstance(error, NoLink):
             return error
@@ -176,8 +179,8 @@ class Session:
         return error
 
     def watch(self, channels: Sequence[Channel], history: History | None = None) -> History:
-        """Follow these signals live, and no others; returns the history that fills from now on, a
-        new one unless given.
+        """Follow these signals live and no others; return the history that they fill, a new one
+        unless given.
         """
         with self._lock:
             self.channels = tuple(channels)
@@ -249,7 +252,7 @@ class Session:
             self._live_wanted = bool(self.channels)
 
     def _listen(self, snapshot: Snapshot) -> None:
-        """Ask again for curves that should come and do not."""
+        """Subscribe again to curves for which no rows arrive though they should."""
         count, tick, since = self._heard
         now = time.monotonic()
         if (
@@ -289,14 +292,14 @@ class Session:
     _complaint = ""
 
     def _complain(self, text: str) -> None:
-        """Log a failure to connect once, not at every attempt."""
+        """Log a failure to connect once, not at each attempt."""
         if text != self._complaint:
             self._complaint = text
             self.events.add(text, "warning")
 
     def _lost(self, port: Port, why: str) -> None:
-        """Show the loss. A target that was started here would end with its port: its link comes
-        back by itself, unless its process has ended.
+        """Show the loss. The port of a target that was started here is kept, since the target would
+        end with it; its link comes back by itself, unless its process has ended.
         """
         ended = port.here and port.over
         with self._lock:
@@ -325,8 +328,7 @@ class Session:
             _close_quietly(port)
 
     def _follow(self, port: Port) -> None:
-        """Subscribe to the wanted channels; signals that the program lacks are left out with a
-        word.
+        """Subscribe to the wanted channels. Signals that the program lacks are left out and logged.
         """
         with self._lock:
             self._live_wanted = False

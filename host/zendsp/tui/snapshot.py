@@ -1,5 +1,5 @@
-"""What the screens know of the target at one moment: made by the session's thread, read by anyone,
-never changed.
+"""The state of the target at one moment, for the screens: made by the session's thread, and
+immutable.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from zendsp_protocol.values import Value
 
 
 class LinkState(StrEnum):
-    """Of the terminal's link to a target."""
+    """State of the terminal's link to a target."""
 
     NONE = "none"  # no target was chosen
     STARTING = "starting"
@@ -72,7 +72,7 @@ class TripView:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything a screen shows that is not a curve."""
+    """Everything that a screen shows apart from curves."""
 
     link: LinkState = LinkState.NONE
     target: str = ""
@@ -122,7 +122,7 @@ class Snapshot:
 
     @property
     def share(self) -> float:
-        """Longest execution time as a share of the period."""
+        """The longest execution time as a fraction of the period."""
         return self.exec_max_ns * 1e-9 * self.rate_hz
 
     @property
@@ -131,7 +131,8 @@ class Snapshot:
         return 1.0 / self.rate_hz if self.rate_hz else 0.001
 
     def news(self, before: Snapshot) -> bool:
-        """Tell whether more than numbers that always change differs from another one."""
+        """Whether this snapshot differs from another in more than numbers that change all the time.
+        """
         return replace(self, **NUMBERS) != replace(before, **NUMBERS)
 
 

@@ -1,4 +1,4 @@
-"""The bar at the top of every screen: where we are, how the loop does, who commands, and STOP."""
+"""The bar at the top of every screen: target, state of the loop, commander, and STOP."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ BUSY = 0.8  # of the period, by the longest execution: more is shown as a warnin
 
 
 def microseconds(ns: float) -> str:
-    """Return a time of execution with three digits: ``3.21 µs``, ``104 µs``, ``1.20 ms``."""
+    """An execution time with three digits: ``3.21 µs``, ``104 µs``, ``1.20 ms``."""
     us = ns * 1e-3
     if us >= 1000.0:
         ms = us * 1e-3
@@ -51,22 +51,20 @@ def microseconds(ns: float) -> str:
 
 
 def mean_and_max(mean_ns: float, max_ns: float) -> str:
-    """Return both times of execution, with the unit once where it is the same: ``1.13/27.4 µs``,
-    ``0.473 µs/2.40 ms``.
+    """Mean and maximum of the execution time, with the unit once where it is the same: ``1.13/27.4
+    µs``, ``0.473 µs/2.40 ms``.
     """
     mean, most = microseconds(mean_ns), microseconds(max_ns)
     return f"{mean.removesuffix(most[-3:])}/{most}"
 
 
 def latency(seconds: float) -> str:
-    """Return the link's round trip, or a dash where it is unknown."""
+    """The round-trip time of the link, or a dash where it is unknown."""
     return f"{seconds * 1e3:.1f} ms" if seconds == seconds else "—"
 
 
 def banner_lines(text: str, width: int) -> list[str]:
-    """Return how STOP ended on one line, or on two of a narrow terminal: its first words are always
-    whole.
-    """
+    """How STOP ended, in one line, or two on a narrow terminal; the first words are never cut."""
     if len(text) + 4 <= width:
         return [f" ■ {text} "]
     if width < LEAST:  # a screen that is being built has no size yet
@@ -115,7 +113,7 @@ class Tabs(Widget):
 
 
 class StopButton(Static):
-    """A red field that is always there; one click stops."""
+    """A red field that is always visible; one click stops."""
 
     DEFAULT_CSS = """
     StopButton { width: 13; height: 100%; background: $error; color: $background; text-style: bold;
@@ -164,13 +162,15 @@ class StatusBar(Widget):
 
     @property
     def field(self) -> Field:
-        """Where STOP is on the screen: the process of the keys sees to a click there, and only
-        without it the click comes here.
+        """The place of the STOP field on the screen. The process that reads the keys handles clicks
+        there; the application does so only without that process.
         """
         return Field(*self._stop.region)
 
     def show(self, snapshot: Snapshot, verdict: Verdict | None = None, busy: str = "") -> None:
-        """Paint a snapshot, and what others wait for; does nothing while nothing has changed."""
+        """Paint a snapshot and what the worker is doing; nothing is painted while nothing has
+        changed.
+        """
         clock = time.strftime("%H:%M:%S")
         now = (id(snapshot), clock, self.app.theme, verdict, self._line1.size.width, busy)
         if now == self._shown:
@@ -201,7 +201,7 @@ class StatusBar(Widget):
         self._line2.update(lines[1])
 
     def banner(self, verdict: Verdict) -> list[Text]:
-        """Return the one or two lines that say how STOP ended, over the whole width."""
+        """One or two lines over the whole width on how STOP ended."""
         c = self.app.theme_variables
         colour = c["warning"] if verdict.state == StopState.STOPPED else c["error"]
         after = ", then Ctrl+K" if verdict.state == StopState.NOT_STOPPED else ""
@@ -212,8 +212,7 @@ class StatusBar(Widget):
         ]
 
     def where(self, s: Snapshot, beside: int = 0) -> Text:
-        """Return the line that names the target, its state and who commands; ``beside``: columns
-        that are wanted for what comes after.
+        """The line with the target, its state and the commander. ``beside``: columns to leave free.
         """
         c = self.app.theme_variables
         line = Text(" ", no_wrap=True, overflow="ellipsis")
@@ -239,7 +238,7 @@ class StatusBar(Widget):
         return line.append_text(rest)
 
     def _state(self, s: Snapshot) -> Text:
-        """What the target does, and for whom."""
+        """What the target does, and who moves it."""
         c = self.app.theme_variables
         line = Text()
         for state in dict.fromkeys((s.drive, s.state)):
@@ -258,7 +257,7 @@ class StatusBar(Widget):
         return line
 
     def trouble(self, s: Snapshot) -> Text:
-        """A trip, a crash, or a joint that stands outside its limits; empty where there is none."""
+        """A trip, a crash, or a joint outside its limits, in words; empty where there is none."""
         words = str(s.outside[0]) if s.outside else ""
         if s.trip is not None or s.crash:
             words = s.crash if s.trip is None or s.unsafe else s.trip.text
@@ -267,7 +266,7 @@ class StatusBar(Widget):
         return Text(in_keys(_short(words)), Style(color=colour, bold=True)) if known else Text()
 
     def loop(self, s: Snapshot) -> Text:
-        """Return the line that says how the loop and the link do."""
+        """The line on the loop's timing and the link."""
         bad = Style(color=self.app.theme_variables["error"], bold=True)
         line = Text(" ", no_wrap=True, overflow="ellipsis")
         if s.link == LinkState.CONNECTING and s.complaint:
@@ -301,7 +300,7 @@ class StatusBar(Widget):
 
 
 def _what(s: Snapshot) -> str:
-    """What is wrong, without the sample and what is to be done; empty where that is all of it."""
+    """What is wrong, without the sample and without advice; empty where nothing else is said."""
     if s.trip is not None and not s.unsafe:
         return s.trip.cause
     return s.outside[0].what if s.outside and not s.crash else ""
@@ -319,7 +318,7 @@ def left_alone(s: Snapshot) -> str:
 
 
 def _offer(s: Snapshot) -> str:
-    """What Ctrl+O would do, as far as it is known which targets answer."""
+    """What Ctrl+O would offer, as far as it is known which targets answer."""
     if s.here is None:
         return "connects"
     return f"connects to {', '.join(s.here)}" if s.here else "starts a simulated machine"

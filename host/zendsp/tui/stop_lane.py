@@ -1,7 +1,8 @@
-"""STOP as the terminal application does it itself, and the last word on how one ended.
+"""STOP as the application itself does it, and the banner on how a STOP ended.
 
-It has threads to itself, which never stand behind what the user asked before. Keys and clicks are
-seen by a process of their own, see :mod:`zendsp.tui.stopper`; this here is for where it is gone.
+It has its own threads, which never wait for what the user asked for before. Usually another process
+sees keys and clicks first, see :mod:`zendsp.tui.stopper`; this module is for the case that it is
+gone.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ REACTION_S = 0.3  # nobody sees that it stopped, and types, within less
 
 @dataclass(frozen=True)
 class Verdict:
-    """How the last STOP ended, shown on every screen until it is acknowledged or no longer so."""
+    """How the last STOP ended. It is shown on every screen until it is acknowledged or no longer
+    true.
+    """
 
     state: StopState
     text: str
@@ -57,7 +60,7 @@ class StopLane:
         self.threads = [background(f"tui-stop-{number}", self._run) for number in range(STOPPERS)]
 
     def guard_keys(self, target: str, here: bool) -> None:
-        """From now on a process of its own reads the keys first and does STOP, of this target."""
+        """Have another process read the keys first, and do STOP for this target, from now on."""
         self.stopper = Stopper(self.tell)
         self.aim(target, here)
 
@@ -67,13 +70,13 @@ class StopLane:
             self.stopper.close()
 
     def place(self, field: Field) -> None:
-        """Say where the red field of STOP is."""
+        """Tell where the red field of STOP is."""
         if self.stopper is not None:
             self.stopper.place(field)
 
     def aim(self, target: str, here: bool) -> None:
-        """STOP is for this target from now on; ``here``: on this computer, for it was started
-        here.
+        """Make this target the one that STOP stops. ``here``: it was started here and runs on this
+        computer.
         """
         if target != self._target:  # the word of how STOP ended was another target's
             self._target, self.verdict = target, None
@@ -81,7 +84,7 @@ class StopLane:
             self.stopper.want(target, here)
 
     def stop(self) -> Future[str]:
-        """STOP: at once, from any thread, past everything that waits; the verdict tells how it
+        """STOP at once, from any thread, before everything that waits; the verdict tells how it
         ended.
         """
         future: Future[str] = Future()
@@ -89,22 +92,22 @@ class StopLane:
         return future
 
     def end(self) -> None:
-        """Have the threads end."""
+        """End the threads."""
         for _ in self.threads:
             self._asked.put(None)
 
     def acknowledged(self) -> None:
-        """Take the word about the last STOP away."""
+        """Remove the banner of the last STOP."""
         self.verdict = None
 
     def unseen(self, typed: float) -> bool:
-        """Whether what was typed at a time was typed before anybody saw the latest STOP or trip: a
-        slow screen handles it later.
+        """Whether a key that was typed at this time came before the latest STOP or trip was
+        visible; a slow screen handles such a key later.
         """
         return typed < max(self.heard, self.tripped) + REACTION_S
 
     def judge(self, new: Snapshot, begin: float) -> None:
-        """Correct the verdict by a snapshot that was asked for at ``begin``."""
+        """Correct the verdict by a snapshot that was requested at time ``begin``."""
         verdict = self.verdict
         if verdict is None or verdict.state == StopState.ASKED or begin < verdict.time:
             return
@@ -118,7 +121,7 @@ class StopLane:
             self.verdict = None
 
     def tell(self, state: StopState, text: str, detail: str = "") -> None:
-        """Show how far a STOP is."""
+        """Show the progress of a STOP."""
         now = time.monotonic()
         self.heard = now if state == StopState.ASKED else self.heard
         self.verdict = Verdict(state, text, now)

@@ -55,7 +55,7 @@ ESCAPE_S = 0.1  # without another byte, after which an Escape is a key of its ow
 
 
 class StopState(StrEnum):
-    """How far a STOP is."""
+    """Progress of a STOP."""
 
     ASKED = "asked"
     STOPPED = "stopped"
@@ -63,15 +63,15 @@ class StopState(StrEnum):
 
 
 def is_stop(key: str) -> bool:
-    """Whether a key, by Textual's name, is STOP: F9 whatever is held with it, and Ctrl+Space by
-    both its names.
+    """Whether a key, by Textual's name, is STOP: F9 with any modifier, and Ctrl+Space by both of
+    its names.
     """
     return key.rpartition("+")[2] == "f9" or key in ("ctrl+@", "ctrl+space")
 
 
 @dataclass(frozen=True)
 class Field:
-    """Where the red field is on the screen, in characters."""
+    """The place of the red field on the screen, in characters."""
 
     x: int = 0
     y: int = 0
@@ -79,7 +79,7 @@ class Field:
     height: int = 0
 
     def holds(self, event: MouseDown) -> bool:
-        """Whether the first button was pressed in it."""
+        """Whether the first mouse button was pressed within it."""
         inside = (
             self.x <= event.x < self.x + self.width and self.y <= event.y < self.y + self.height
         )
@@ -87,7 +87,7 @@ class Field:
 
 
 class Links:
-    """Keeps a link ready to the target that the application names."""
+    """Keeps a link to the target that the application names."""
 
     def __init__(self) -> None:
         self.target: Target | None = None
@@ -96,7 +96,7 @@ class Links:
         background("links", self._keep)
 
     def want(self, name: str, here: bool) -> None:
-        """Be ready for this target from now on; the same name once more: look it up again.
+        """Keep a link to this target from now on; given the same name again, look it up again.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class Links:
         self._wanted.set()
 
     def page(self) -> StopPage | None:
-        """The stop page of the target, where it is one of this machine: it needs no link."""
+        """The stop page of the target if it is one of this computer; that needs no link."""
         target = self.target
         if target is not None and target.name == self.name:
             page = target.stop_page()
@@ -135,10 +135,11 @@ class Links:
 
 
 class Stops:
-    """Asks the target for STOP, and tells how each ended.
+    """Asks the target for STOP, and reports how each one ended.
 
-    The request itself is one byte in shared memory, written where the key is read, if the target
-    runs here and is this user's; the rest, and targets elsewhere, have threads.
+    If the target runs here and belongs to this user, the request is one byte in shared memory,
+    written where the key is read. For everything else, and for targets elsewhere, there are
+    threads.
     """
 
     def __init__(self, links: Links, tell: Callable[..., None]) -> None:
@@ -148,7 +149,9 @@ class Stops:
             background("stop", self._run)
 
     def press(self) -> None:
-        """STOP. Never waits, and never fails: a page that cannot be read leaves it to the link."""
+        """STOP. It never waits and never fails: where the stop page cannot be read, the link is
+        used.
+        """
         page, asked = None, 0
         try:
             page = self._links.page()
@@ -193,8 +196,8 @@ class Stops:
 
 
 def be_prompt() -> None:
-    """Have this process run before ordinary ones, where that is permitted: it does little, and what
-    it does cannot wait.
+    """Raise the priority of this process where that is permitted: it does little, but that must not
+    wait.
     """
     with contextlib.suppress(OSError):
         os.sched_setscheduler(
@@ -203,8 +206,8 @@ def be_prompt() -> None:
 
 
 class Presses:
-    """Finds keys and clicks in the bytes read; Textual's own parser tells them from pasted text in
-    all terminals.
+    """Finds keys and clicks in the bytes that are read. Textual's own parser tells them from pasted
+    text, on all terminals.
 
     Parameters
     ----------
@@ -227,7 +230,9 @@ class Presses:
         self._parser, self._packets = XTermParser(), ByteStream()
 
     def find(self, data: bytes) -> Iterator[str | MouseDown]:
-        """Names of keys, and clicks; of no data the key that was not sure to have ended before."""
+        """The names of the keys, and the clicks. Without data: a key that might still have
+        continued.
+        """
         if data:
             self._note_paste(data)
         try:
@@ -238,7 +243,7 @@ class Presses:
                 yield "f9"
 
     def _note_paste(self, data: bytes) -> None:
-        """Give up a paste whose end did not come."""
+        """Give up a pasted text whose end did not arrive."""
         now = time.monotonic()
         if self._pasting and now > self._read_at + PASTE_S:
             self._begin()
@@ -266,10 +271,10 @@ class Presses:
 
 
 class Escapes:
-    """Writes the key Escape so that it cannot be taken for the beginning of the key after it.
+    """Hands on the key Escape so that it is not taken for the beginning of the next key.
 
-    An application that is late reads both together: that would be Alt and a key, or no key at all.
-    Here it is seen that they came apart.
+    An application that reads both together, because it was busy, takes them for Alt and a key, or
+    for no key. This process sees that they arrived apart.
 
     Parameters
     ----------
@@ -282,11 +287,11 @@ class Escapes:
         self._held, self._held_at = b"", 0.0  # one that may begin a sequence; when it came
 
     def alone(self) -> bool:
-        """Whether an Escape is held that nothing followed in time."""
+        """Whether an Escape is held back that no other byte has followed in time."""
         return bool(self._held) and time.monotonic() > self._held_at + ESCAPE_S
 
     def told_apart(self, data: bytes) -> bytes:
-        """What is to be handed on of what was read; of no data the Escape that is held."""
+        """The bytes to hand on; without data, the Escape that was held back."""
         if self._web:
             return data.replace(_packet(_ESC), _packet(_ESCAPE))
         sequence = data.startswith((b"[", b"O"))  # that came in two parts
@@ -300,7 +305,7 @@ def _packet(key: bytes) -> bytes:
 
 
 class Keys:
-    """Hands on what is typed, and does STOP where it is among it.
+    """Hands on what is typed, and does STOP where that is among it.
 
     Parameters
     ----------
@@ -323,7 +328,7 @@ class Keys:
         self._picture = _packet(_PICTURE) if web else _PICTURE
 
     def run(self) -> None:
-        """Return when the application or the terminal is gone."""
+        """Hand on bytes until the application or the terminal is gone."""
         os.set_blocking(1, False)
         here = True
         while here:
@@ -350,7 +355,7 @@ class Keys:
                     self._waiting = self._waiting[os.write(1, self._waiting) :]
 
     def _hear(self, data: bytes) -> int:
-        """Do what the application says; returns how many pictures it tells of."""
+        """Carry out the lines of the application; return the number of pictures that it reports."""
         *lines, self._line = (self._line + data).split(b"\n")
         for line in lines:
             if line == b"!":
@@ -376,7 +381,7 @@ class Keys:
 
 
 def _typed() -> bytes:
-    """What was typed; nothing where the terminal is gone."""
+    """The bytes that were typed; none where the terminal is gone."""
     try:
         return os.read(0, 4096)
     except OSError:

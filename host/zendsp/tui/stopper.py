@@ -1,7 +1,7 @@
 """The application's side of the process that does STOP: see :mod:`zendsp.tui.stop_process`.
 
-A process that does not answer any more is ended: it would hold every key back. The application then
-reads the keys itself.
+If that process no longer answers it is ended, since it would hold back every key. The application
+then reads the keys itself.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ KEY_LOST = "a STOP pressed just now may be lost: press F9 again"
 
 
 def _states(pid: int) -> set[str]:
-    """What the threads of a process do: R runs or would, D waits for a disk, T is stopped, …"""
+    """The states of a process's threads: R runs or is ready to, D waits for a disk, T is stopped, …
+    """
     found = set()
     for stat in Path(f"/proc/{pid}/task").glob("*/stat"):
         with contextlib.suppress(OSError):
@@ -41,8 +42,8 @@ def _states(pid: int) -> set[str]:
 
 
 class Stopper:
-    """Puts the process between the terminal and this one; where it ends, the terminal is this one's
-    again.
+    """Puts the other process between the terminal and this one; when it ends, this process reads
+    the terminal again.
 
     Parameters
     ----------
@@ -76,21 +77,24 @@ class Stopper:
         threading.Thread(target=self._watch, name="tui-keys-watch", daemon=True).start()
 
     def want(self, name: str, here: bool) -> None:
-        """Have a link to this target ready, which runs on this computer or is looked for."""
+        """Have it keep a link to this target. ``here``: on this computer; otherwise it looks for
+        it.
+        """
         self._write(f"= {name}" if here else name)
 
     def place(self, field: Field) -> None:
-        """Tell where the red field is: a click there is STOP."""
+        """Tell it where the red field is: a click there is STOP."""
         if field != self.field:
             self.field = field
             self._write(f"@ {field.x} {field.y} {field.width} {field.height}")
 
     def stop(self) -> bool:
-        """STOP, not by a key or a click; False where the process is gone."""
+        """STOP that was not asked for by a key or a click; False where the process is gone."""
         return self._write("!")
 
     def picture(self) -> bool:
-        """Have the key `PICTURE` follow what was typed until now; False where the process is gone.
+        """Have it send the key `PICTURE` after everything that was typed until now; False where it
+        is gone.
         """
         return self._write("^")
 
@@ -111,7 +115,7 @@ class Stopper:
         return self.alive
 
     def _watch(self) -> None:
-        """End the process if it hangs: what follows is as if it had been killed."""
+        """End the process if it hangs; the application then goes on as if it had been killed."""
         begun = False
         while self._write("?"):
             asked = time.monotonic()
@@ -125,7 +129,7 @@ class Stopper:
             time.sleep(ASK_S)
 
     def _hangs(self, silent_s: float) -> bool:
-        """Whether nobody will read the next key, after so many seconds without an answer."""
+        """Whether the process hangs, after so many seconds without an answer."""
         try:
             if select.select([self._verdicts], [], [], 0.0)[0]:
                 return False  # its answer is there: it is the application that could not look
@@ -168,8 +172,8 @@ class Stopper:
 def with_stop(
     base: type[Driver], stopper: Callable[[], Stopper | None], stop: Callable[[], object]
 ) -> type[Driver]:
-    """Make a driver like ``base`` that reads what the process hands on, lets it do STOP, and draws
-    on standard output: standard error is free for ``2>file``.
+    """A driver like ``base`` that reads the bytes which the process hands on, and has it do STOP.
+    It draws on standard output, so that ``2>file`` redirects standard error.
 
     Where the process is gone, the thread that reads the keys calls ``stop`` itself.
     """
@@ -188,7 +192,9 @@ def with_stop(
 
         @property
         def fileno(self) -> int:
-            """The keys' thread reads standard input; settings are those of the terminal itself."""
+            """The descriptor of the terminal, for its settings; the thread that reads keys uses
+            standard input.
+            """
             process = stopper()
             reading = threading.current_thread().name == "textual-input"
             return self._fileno if reading or process is None or self.is_web else process.terminal

@@ -1,5 +1,5 @@
-"""Makes exported screenshots look the same everywhere: braille as drawn dots, no font from the
-network.
+"""Makes exported screenshots look the same everywhere: braille is drawn as dots, and no font is
+loaded from the network.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ _DOTS = ((0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (0, 3), (1, 3))
 
 
 def portable(svg: str) -> str:
-    """Return an exported screenshot whose curves are shapes and whose font is the reader's own
-    monospace.
+    """An exported screenshot with its curves as shapes, in the reader's own monospaced font.
 
-    Viewers rarely have a monospaced font with braille, and a README may not fetch fonts; so each
+    Few viewers have a monospaced font with braille, and a README may not load fonts; so each
     braille character becomes its dots.
 
     Parameters

@@ -1,4 +1,6 @@
-"""Which target the terminal is connected to: those in reach, and machines that start here."""
+"""Chooses the target that the terminal is connected to: one that answers, or a machine that is
+started here.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,7 @@ class Targets:
         self._machines = tuple(machines)
 
     def look_around(self) -> None:
-        """Log the targets that answer, or what can be done without one."""
+        """Log the targets that answer, or what can be done without a target."""
         if self._find is not None:
             self._app.run_worker(self._look, thread=True, group="discovery")
 
@@ -61,7 +63,7 @@ class Targets:
             self._app.run_worker(start, thread=True, exclusive=True, group="discovery")
 
     def _found(self) -> list[tuple[str, str]] | None:
-        """Targets that answer; none where the search failed, which is logged."""
+        """The targets that answer; none where the search failed, which is logged."""
         try:
             return self._find() if self._find else []
         except ZendspError as error:

@@ -1,4 +1,5 @@
-"""What the next run would do on a simulated twin: tried as soon as it is known, shown before Start.
+"""Tries the next run on a simulated twin as soon as its plan is known; the result is shown before
+Start.
 """
 
 from __future__ import annotations
@@ -49,19 +50,21 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        """Of the whole run, s."""
+        """The duration of the whole run, s."""
         return self.lead + self.playlist.duration + REST_S
 
     @property
     def tables(self) -> dict[str, Floats]:
-        """What the program is sent, in this order: the motion begins when `ref` switches over."""
+        """The tables that the program is sent, in this order: the motion begins when `ref` switches
+        over.
+        """
         torque = (
             {self.player.torque_table: self.playlist.torque} if self.player.torque_table else {}
         )
         return {**torque, self.player.table: self.playlist.rows}
 
     def same(self, other: Plan) -> bool:
-        """Whether the other would go the same way."""
+        """Whether the other plan gives the same run."""
         if (self.program, self.parameters, self.values, self.lead) != (
             other.program, other.parameters, other.values, other.lead,
         ):
@@ -78,7 +81,7 @@ class Plan:
 def make_plan(
     snapshot: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup
 ) -> Plan:
-    """Plan the run from where the arm stands now.
+    """The plan of a run from the present position.
 
     Raises
     ------
@@ -109,11 +112,11 @@ def make_plan(
 
 
 class Cancelled(Exception):
-    """The plan has changed meanwhile."""
+    """Raised where the plan has changed during the trial."""
 
 
 class Trial:
-    """Tries the newest plan on a twin, in a thread of its own, one at a time."""
+    """Tries the newest plan on a twin, one at a time, on a thread of its own."""
 
     def __init__(self) -> None:
         self.share = 0.0
@@ -124,7 +127,7 @@ class Trial:
         self._lock = threading.Lock()
 
     def look(self, plan: Plan | None, port: Port | None) -> None:
-        """Take note of the plan as it is now; never waits."""
+        """Note the present plan; never waits."""
         now = time.monotonic()
         with self._lock:
             before = self._plan
@@ -137,12 +140,12 @@ class Trial:
                 background("tui-trial", self._try, plan, port)
 
     def found(self, plan: Plan) -> Rehearsal | None:
-        """What became of this plan, None where it was not tried yet."""
+        """The result of this plan's trial, None where it was not tried yet."""
         done = self._done
         return done[1] if done is not None and done[0].same(plan) else None
 
     def problem(self, plan: Plan) -> str:
-        """Why this plan could not be tried, empty where it could or was not yet."""
+        """Why this plan could not be tried; empty where it could, or was not tried yet."""
         done = self._done
         return done[2] if done is not None and done[0].same(plan) else ""
 

@@ -1,4 +1,4 @@
-"""Keys that come faster than what they are meant for."""
+"""Keeps keys that are typed faster than the screens follow."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ EVERYWHERE = frozenset(k for a in ACTIONS if a.priority for k in a.keys.split(",
 
 
 class TypeAhead(App[None]):
-    """Each key does what it would do if the screen were never late.
+    """Has each key do what it would do if the screen were never late.
 
-    Keys wait for a dialog that is on its way. In a dialog each waits until the one before has had
-    its effect, which may be that the dialog has closed and that another one opens. A key that works
-    everywhere waits for those that are still on their way through the screen that is shown.
+    Keys wait for a dialog that is about to open. In a dialog each key waits until the one before
+    has had its effect, which may be that this dialog closes and another opens. A key that works
+    everywhere waits for those that are still on their way through the present screen.
     """
 
     def __init__(self) -> None:
@@ -48,19 +48,19 @@ class TypeAhead(App[None]):
         self._passed = 0.0  # until when they are waited for
 
     def expect_dialog(self) -> None:
-        """Hold back the keys from now on until a dialog or an input line is there to take them,
-        for :data:`HELD_S` at the most.
+        """Hold back keys until a dialog or an input line is there to take them, for at most
+        :data:`HELD_S`.
         """
         self._expected = time.monotonic() + HELD_S
 
     def no_dialog(self) -> None:
-        """No dialog comes: what was typed for it is dropped, and never becomes a command."""
+        """No dialog opens: keys that were typed for it are dropped, and never become commands."""
         self._expected = 0.0
         self._held.clear()
 
     async def hand_over(self, dialog: Dialog[Any] | None = None) -> None:
-        """Hand what was typed to the dialog, or to whoever has the focus now; later keys wait in
-        this task's queue meanwhile.
+        """Hand the keys that were held back to the dialog, or to the widget with the focus; later
+        keys wait in this task's queue meanwhile.
         """
         self._expected = 0.0
         if dialog is not None:
@@ -70,7 +70,9 @@ class TypeAhead(App[None]):
             await self.on_event(key)
 
     def answered(self) -> None:
-        """A dialog has its answer: keys wait until that has had its effect on the screen below."""
+        """A dialog was answered: hold back keys until the answer has had its effect on the screen
+        below.
+        """
         self._ways.clear()
         self._wait_for(self.screen, self)
 
@@ -81,7 +83,7 @@ class TypeAhead(App[None]):
         self._pass(way)
 
     def _pass(self, way: Iterator[MessagePump]) -> None:
-        """Go on to the next queue, behind what a key has left in this one."""
+        """Go on to the next queue, after what a key has put into this one."""
         if way not in self._ways:
             return  # it is waited for no more
         for pump in way:
@@ -92,14 +94,16 @@ class TypeAhead(App[None]):
             self.call_later(self.hand_over)
 
     def _see(self) -> None:
-        """From now on keys are meant for what is seen."""
+        """Note that from now on keys are meant for what is visible."""
         self._blind = False
 
     async def on_event(self, event: events.Event) -> None:
-        """Drop what was typed before the first picture. Keep keys for a dialog that is on its way:
-        also those that no widget wanted and that come back here as commands, since a terminal
-        hands on many keys at once. One that comes back when the focus has moved is for whoever has
-        it now.
+        """Drop keys that were typed before the first picture, and hold back keys for a dialog that
+        is about to open.
+
+        That includes keys that no widget wanted and that come back here as commands, since a
+        terminal sends many keys at once. A key that comes back after the focus has moved goes to
+        the widget that has it now.
         """
         if self._blind and isinstance(event, events.InputEvent | events.Paste):
             if isinstance(event, events.Key) and event.key == PICTURE:
@@ -130,7 +134,7 @@ class TypeAhead(App[None]):
                 self._wait_for(*way, *again)
 
     def _is_early(self, key: events.Key) -> bool:
-        """Whether what was typed before has to have its effect first."""
+        """Whether keys typed before this one must have their effect first."""
         if self._ways and time.monotonic() > self._passed:
             self._ways.clear()
             self.call_later(self.hand_over)

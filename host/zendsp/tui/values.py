@@ -17,7 +17,7 @@ LARGEST = 2.0**31 - 1.0
 COUNTS = 1e7  # a whole number below it is shown whole
 
 def show_value(value: Any, most: int = 4) -> str:
-    """Return a value for a table cell; a long array shows its first elements and its length."""
+    """A value as text for a cell; a long array shows its first elements and its length."""
     if value is None:
         return "—"
     if isinstance(value, bool | np.bool_):
@@ -35,13 +35,14 @@ def show_value(value: Any, most: int = 4) -> str:
 
 
 def _element(value: float) -> str:
-    """Return one of several numbers in a cell: counts whole, all else with three digits."""
+    """One of several numbers in a cell: counts in full, others with three digits."""
     whole = value.is_integer() and abs(value) < COUNTS
     return str(int(value)) if whole or abs(value) < NOTHING else f"{value:.3g}"
 
 
 def show_exact(value: Any) -> str:
-    """Return a value so that reading it back gives the same: for edit fields and diffs."""
+    """A value as text from which the same value can be read back, for edit fields and comparisons.
+    """
     if isinstance(value, bool | np.bool_):
         return "true" if value else "false"
     if isinstance(value, int | np.integer):
@@ -52,7 +53,7 @@ def show_exact(value: Any) -> str:
 
 
 def show_limits(variable: Variable) -> str:
-    """Return ``0 … 5000``, ``≥ 0``, or nothing."""
+    """The limits as ``0 … 5000`` or ``≥ 0``, or an empty text."""
     low, high = math.isfinite(variable.minimum), math.isfinite(variable.maximum)
     high = high and variable.maximum < LARGEST  # what no int32 passes is no limit
     if low and high:
@@ -61,7 +62,7 @@ def show_limits(variable: Variable) -> str:
 
 
 def differs(a: Any, b: Any) -> bool:
-    """Return whether two values are not the same."""
+    """Whether two values are not the same."""
     return not np.array_equal(np.ravel(a), np.ravel(b), equal_nan=False)
 
 
@@ -91,7 +92,7 @@ def _scalar(variable: Variable, text: str) -> Any:
 
 
 def reader(variable: Variable) -> Callable[[str], Any]:
-    """Return the check of an edit field: text to a value within the limits, or ValueError with the
+    """The check of an edit field: from text to a value within the limits, or ValueError with the
     reason.
     """
 

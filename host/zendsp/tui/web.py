@@ -27,11 +27,11 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def is_ours(request_host: str, origin: str | None) -> bool:
-    """Tell whether a request comes from a page of ours.
+    """Whether a request comes from one of our own pages.
 
-    Any page that a user has open may try to reach a port on his own computer, and this one can move
-    a machine. So the name by which the server was called must be loopback, and a page that opens
-    the socket must have come from the same place.
+    Any page that a user has open could try to reach a port on the user's computer, and this one can
+    move a machine. Therefore the server must have been called by a name of the loopback, and a page
+    that opens the socket must come from the same place.
     """
     name = (
         request_host.rpartition(":")[0]
@@ -45,14 +45,15 @@ def is_ours(request_host: str, origin: str | None) -> bool:
 
 @web.middleware
 async def refuse_strangers(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """Answer 403 to what is not ours."""
+    """Answer 403 to requests from other pages."""
     if not is_ours(request.host, request.headers.get("Origin")):
         raise web.HTTPForbidden(text="zendsp serves pages of this computer only")
     return await handler(request)
 
 
 class Page(AppService):
-    """What runs behind one page: a terminal of its own, which ends with the page or the server."""
+    """The process behind one page: a terminal of its own, which ends with the page or the server.
+    """
 
     def __init__(self, words: Sequence[str], websocket: web.WebSocketResponse, **options: Any):
         super().__init__(
@@ -62,7 +63,7 @@ class Page(AppService):
         self._words, self._websocket = words, websocket
 
     async def _close(self) -> None:
-        """Say good-bye to the browser; one that does not take it has gone."""
+        """Close the connection; a browser that does not answer has gone."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(GRACE_S):
                 await self._websocket.close()
@@ -77,14 +78,15 @@ class Page(AppService):
         return process
 
     async def run(self) -> None:
-        """Pass on what it shows until it ends; the page is closed with it, and says so."""
+        """Pass on the output of the process until it ends; then close the page, which says so."""
         try:
             await super().run()
         finally:
             await self._close()
 
     async def stop(self) -> None:
-        """Ask it to end, and end it where it does not; to the target its host is gone."""
+        """Ask the process to end, and end it if it does not; the target then sees its host as gone.
+        """
         task, self._task, process = self._task, None, self._process
         if task is None or process is None:
             return
@@ -105,7 +107,7 @@ class Page(AppService):
 
 
 class LoopbackServer(Server):
-    """textual-serve with a page that needs no network, an eye on who asks, and an end."""
+    """textual-serve with a page that needs no network, a check of who asks, and a way to end."""
 
     def __init__(self, words: Sequence[str], port: int) -> None:
         super().__init__(
@@ -124,15 +126,15 @@ class LoopbackServer(Server):
         return app
 
     async def on_startup(self, app: web.Application) -> None:
-        """Say where it is."""
+        """Print its address."""
         self.console.print(f"{self.public_url}  (Ctrl-C ends it)", highlight=False)
 
     async def on_shutdown(self, app: web.Application) -> None:
-        """End all pages, before what waits for their handlers."""
+        """End all pages before the server waits for their handlers."""
         await asyncio.gather(*(page.stop() for page in self._pages))
 
     async def handle_websocket(self, request: web.Request) -> web.WebSocketResponse:
-        """Serve one page, until it or what runs behind it ends."""
+        """Serve one page until it or the process behind it ends."""
         websocket = web.WebSocketResponse(heartbeat=BEAT_S, timeout=GRACE_S)
         await websocket.prepare(request)
         page = Page(self._words, websocket, download_manager=self.download_manager)

@@ -1,4 +1,4 @@
-"""The folder that a terminal works in: references, runs and parameter sets, as plain files."""
+"""The folder in which a terminal works: references, runs and parameter sets, as plain files."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ MOST = 200  # files that a list is made of
 
 
 def file_name(text: str) -> str:
-    """Return a text as a name that any file system takes."""
+    """A text as a file name that every file system accepts."""
     return re.sub(r"[^\w.+-]+", "_", text.strip()).strip("._") or "unnamed"
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where things are kept; folders come into being when something is saved."""
+    """The folders of a terminal; each is made when something is saved in it."""
 
     root: Path
 
@@ -50,7 +50,7 @@ class Workspace:
         return self.root / "sets"
 
     def free(self, folder: Path, stem: str, suffix: str) -> Path:
-        """Return a path in ``folder`` that does not exist yet, made of ``stem``."""
+        """A path in ``folder``, made of ``stem``, that does not exist yet."""
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{file_name(stem)}{suffix}"
         n = 2
@@ -60,7 +60,7 @@ class Workspace:
         return path
 
     def saved_references(self) -> list[Path]:
-        """Return the references of this folder and of those one below, newest first; hidden
+        """The references of this folder and of those directly below it, newest first; hidden
         folders are left out.
         """
         found = [*self.references.glob("*.mat"), *self.root.glob("*.mat")]
@@ -70,8 +70,8 @@ class Workspace:
         return [p for _, p in dated[:MOST] if is_reference(p)]
 
     def recordings(self) -> list[Path]:
-        """Return the files of recordings in this folder and in those one below, newest first;
-        references, and hidden folders, are left out.
+        """The files of recordings in this folder and in those directly below it, newest first;
+        references and hidden folders are left out.
         """
         kinds = tuple(kind for kind in READERS if kind != ".txt")  # most are no recordings
         found = [p for depth in ("*", "*/*") for p in self.root.glob(depth)]
@@ -84,8 +84,8 @@ class Workspace:
         return [p for _, p in dated[:MOST] if not (p.suffix == ".mat" and is_reference(p))]
 
     def sources(self) -> tuple[list[Path], list[Path]]:
-        """Return the control programs in this folder and beneath it, and the C files that programs
-        include; the nearest first, then the newest. Hidden folders are left out.
+        """The control programs in this folder and below it, and the C files that programs include;
+        the nearest first, then the newest. Hidden folders are left out.
         """
         found = list(self.root.glob("*.c"))
         found += [p for p in self.root.glob("*/*.c") if not p.parent.name.startswith(".")]

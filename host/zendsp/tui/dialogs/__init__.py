@@ -1,6 +1,4 @@
-"""Small windows over a screen. STOP works through all of them; Escape closes each without doing
-anything.
-"""
+"""Small windows over a screen. STOP works in all of them; Escape closes each without effect."""
 
 from zendsp.tui.dialogs.choose import Choose, Option
 from zendsp.tui.dialogs.form import Field, Form, not_empty

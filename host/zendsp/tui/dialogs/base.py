@@ -36,7 +36,9 @@ class Dialog(ModalScreen[Result | None]):
     closed = False  # whether it has its answer
 
     def on_screen_resume(self) -> None:
-        """Take what was typed before the dialog was there, once the focus is where it will be."""
+        """Take the keys that were typed before the dialog was there, once the focus is in its
+        place.
+        """
         if not self.opened:
             self.call_after_refresh(self._ready)
 
@@ -46,12 +48,12 @@ class Dialog(ModalScreen[Result | None]):
             self.app.call_later(hand_over, self)
 
     def on_mount(self) -> None:
-        """Keep in sight that STOP works here too."""
+        """Show that STOP works here too."""
         for box in self.query(".box"):
             box.border_subtitle = box.border_subtitle or "F9 STOP"
 
     def on_resize(self) -> None:
-        """Let what is long give way, so that the lines and buttons below it stay in sight."""
+        """Shrink long contents, so that the lines and buttons below them stay in sight."""
         self.call_after_refresh(self._fit)
 
     def _fit(self) -> None:
@@ -64,7 +66,7 @@ class Dialog(ModalScreen[Result | None]):
             long.styles.max_height = max(LEAST, min(self.long, self.size.height - rest))
 
     def on_click(self, event: events.Click) -> None:
-        """A click on the red field stops, although the field belongs to the screen below."""
+        """STOP on a click on the red field, although the field belongs to the screen below."""
         below = [
             button for screen in self.app.screen_stack[:-1] for button in screen.query(StopButton)
         ]
@@ -73,8 +75,8 @@ class Dialog(ModalScreen[Result | None]):
             self.app.call_later(self.app.run_action, "stop")
 
     def dismiss(self, result: Result | None = None) -> AwaitComplete:
-        """Close with the first answer. What is pressed before the dialog is gone is no second one,
-        which would close the screen below.
+        """Close with the first answer. A second key, pressed before the dialog is gone, would
+        otherwise close the screen below.
         """
         if self.closed:
             return AwaitComplete()

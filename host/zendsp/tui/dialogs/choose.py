@@ -17,8 +17,8 @@ from zendsp.tui.dialogs.base import Dialog
 
 @dataclass(frozen=True)
 class Option:
-    """One line: what is returned, and what is shown. The key "" is for something new: no filter
-    hides it, and what was typed is returned beside it.
+    """One line: the key that is returned, and the text that is shown. The key "" stands for
+    something new: no filter hides it, and the typed text is returned with it.
     """
 
     key: str
@@ -27,8 +27,8 @@ class Option:
 
 
 class Choose(Dialog[list[str]]):
-    """Choose one option, or several (space marks) in the order of marking; the result is the list
-    of keys.
+    """Choose one option, or several (space marks) in the order in which they were marked; the
+    result is the list of keys.
     """
 
     DEFAULT_CSS = """
@@ -138,7 +138,7 @@ class Choose(Dialog[list[str]]):
             event.stop()
 
     def _typed(self, event: events.Key) -> bool:
-        """Take a key for the filter, while arrows and ⏎ stay with the list."""
+        """Type into the filter; arrows and ⏎ still act on the list."""
         field = self.query_one(Input)
         if event.key == "backspace":
             field.value = field.value[:-1]

@@ -19,7 +19,7 @@ Check = Callable[[str], Any]  # returns the value, or raises ValueError with the
 
 
 def not_empty(text: str) -> str:
-    """Return the text without blanks around it, or refuse an empty one."""
+    """The text without blanks around it; an empty one is refused."""
     if not text.strip():
         raise ValueError("must not be empty")
     return text.strip()
@@ -27,8 +27,8 @@ def not_empty(text: str) -> str:
 
 @dataclass(frozen=True)
 class Field:
-    """One line of a form. With ``choices`` a list, with a bool ``value`` a switch, else text that
-    ``check`` converts.
+    """One line of a form: a list where it has ``choices``, a switch where ``value`` is a bool, else
+    text that ``check`` converts.
     """
 
     key: str
@@ -41,8 +41,8 @@ class Field:
 
 
 class Line(Input):
-    """An input that takes Enter in its turn. As a binding it would come back by way of the
-    application, behind what was typed after it.
+    """An input that handles Enter itself, in the order of the keys. A binding for Enter would act
+    after keys that were typed later.
     """
 
     BINDINGS = [  # noqa: RUF012
@@ -51,7 +51,7 @@ class Line(Input):
     ]
 
     async def key_enter(self, event: events.Key) -> None:
-        """Hand in what was typed before."""
+        """Submit the text."""
         event.stop()
         await self.action_submit()
 
@@ -67,7 +67,7 @@ class Label(Static):
 
 
 class Form(Dialog[Mapping[str, Any]]):
-    """Ask for some values; the result maps each key to its checked value."""
+    """Ask for several values; the result maps each key to its checked value."""
 
     DEFAULT_CSS = """
     Form .fields { height: auto; max-height: 16; }
@@ -116,7 +116,7 @@ class Form(Dialog[Mapping[str, Any]]):
         self._check()
 
     def _check(self) -> dict[str, Any] | None:
-        """Convert all fields; shows the first problem and returns None if there is one."""
+        """The values of all fields; None where one is wrong, whose problem is shown."""
         values: dict[str, Any] = {}
         for field in self._fields:
             widget = self.query_one(f"#f-{field.key}")

@@ -1,4 +1,4 @@
-"""The question, before the terminal is left, what is to become of a machine that moves."""
+"""The question what shall become of a moving machine when the terminal is left."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def moves(s: Snapshot) -> bool:
 
 
 def becomes(s: Snapshot) -> str:
-    """What the machine does once this terminal is gone."""
+    """A sentence on what the machine does once this terminal is gone."""
     lets_go = s.mine or (s.moved_by == "you" and not s.commander)
     return LEFT.get(s.host_lost, s.host_lost) if lets_go else "the program goes on"
 
 
 def stands(s: Snapshot) -> str:
-    """Say in a title whether the machine moves, and else why not."""
+    """A title that says whether the machine moves, and if not, why."""
     if moves(s):
         return "The machine moves"
     if s.link != LinkState.UP:
@@ -38,7 +38,8 @@ def stands(s: Snapshot) -> str:
 
 
 class Leave(Choose):
-    """Ask; the result is ["stay"], ["stop"] or ["leave"]. What it says changes with the machine.
+    """Ask; the result is ["stay"], ["stop"] or ["leave"]. The text follows the state of the
+    machine.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ class Leave(Choose):
         super().__init__(stands(look()), self._ways())
 
     def on_mount(self) -> None:
-        """Look again as often as numbers change."""
+        """Read the state of the machine as often as numbers on the screen change."""
         super().on_mount()
         self.set_interval(LOOK_S, self._see)
 

@@ -40,17 +40,17 @@ class Range:
     whole: bool
 
     def at(self, share: float) -> float:
-        """The value at a share of the way; whole where the parameter is."""
+        """The value at a fraction of the range; a whole number where the parameter is one."""
         value = self.low + min(max(share, 0.0), 1.0) * (self.high - self.low)
         return float(round(value)) if self.whole else float(f"{value:.6g}")
 
     def share(self, value: float) -> float:
-        """Where a value lies, 0 … 1."""
+        """The fraction of the range at which a value lies, 0 … 1."""
         return min(max((value - self.low) / (self.high - self.low), 0.0), 1.0)
 
 
 def slides(v: Variable) -> bool:
-    """Whether a parameter can have sliders: numbers between finite limits, not too many."""
+    """Whether a parameter can have sliders: it has finite limits, and not too many elements."""
     ends = (v.minimum, v.maximum)
     number = v.type in ("double", "float", "int32") and v.kind == VariableKind.PARAMETER
     few = 1 <= v.length <= MOST_ELEMENTS
@@ -71,7 +71,7 @@ def elements(v: Variable) -> list[Variable]:
 
 
 def numbers(variables: Sequence[Variable], values: Mapping[str, Assignable]) -> dict[str, float]:
-    """The values of all elements by their names; what the target does not say is left out."""
+    """The values of all elements by name; those that the target does not send are left out."""
     return {
         part.name: value
         for v in variables
@@ -112,7 +112,7 @@ class Slider(Widget, can_focus=True):
         self.value = float(value)
 
     def take(self, value: Any) -> None:
-        """Show what the target has."""
+        """Show the value of the target."""
         if float(value) != self.value:
             self.value = float(value)
             self.refresh()
@@ -125,7 +125,7 @@ class Slider(Widget, can_focus=True):
             self.post_message(self.Moved(self.variable.name, given))
 
     def action_move(self, share: float) -> None:
-        """Move by a share of the range; a whole number by one at the least."""
+        """Move by a fraction of the range; a whole number by at least one."""
         r = self.range
         step = share * (r.high - r.low)
         if r.whole:
@@ -134,7 +134,7 @@ class Slider(Widget, can_focus=True):
 
     @property
     def bar(self) -> int:
-        """Columns of the bar."""
+        """Which columns of the line the bar takes."""
         return max(self.size.width - NAME - VALUE - 2, 4)
 
     def _by_mouse(self, x: int) -> None:
@@ -177,7 +177,7 @@ class Slider(Widget, can_focus=True):
 
 
 class Sliders(Dialog[None]):
-    """Sliders of some parameters, at the edge, so that the curves stay in sight.
+    """Sliders of several parameters, at the edge of the screen so that the curves stay in sight.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ class Sliders(Dialog[None]):
         self.before[event.name] = self._before[event.name]
 
     def _tick(self) -> None:
-        """Hand on what has moved; where nothing moves, show what the target has."""
+        """Write the sliders that have moved; where none moves, show the values of the target."""
         if self._moved:
             moved, self._moved, self._quiet = self._moved, {}, 0
             self._write(moved, False)
@@ -246,14 +246,14 @@ class Sliders(Dialog[None]):
                 slider.take(now[slider.variable.name])
 
     def action_undo(self) -> None:
-        """Put all back as they were when this opened, in one sample."""
+        """Restore the values that the parameters had when this opened, in one sample."""
         self._moved, self.before, self._quiet = {}, {}, 0
         for slider in self.query(Slider):
             slider.take(self._before[slider.variable.name])
         self._write(dict(self._before), True)
 
     def action_cancel(self) -> None:
-        """Close; what was moved last is handed on."""
+        """Close; the last move is still written."""
         if self._moved:
             self._write(self._moved, False)
         self.dismiss(None)

@@ -1,4 +1,4 @@
-"""The C source with the compiler's remarks: read, mend, save and build again."""
+"""The C source with the compiler's messages: read, correct, save and build again."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class SourceView(Dialog[bool]):
         self.call_after_refresh(self._see)  # once the editor knows its size
 
     def action_next_remark(self) -> None:
-        """Go to the next remark in this file."""
+        """Go to the next message of the compiler in this file."""
         here = [r for r in self._remarks if r.file == self._path.name and r.line > 0]
         if here:
             self._at = (self._at + 1) % len(here)
@@ -90,7 +90,8 @@ class SourceView(Dialog[bool]):
         self._see()
 
     def _see(self) -> None:
-        """Centre the line of the cursor; its beginning stays in sight where the column allows it.
+        """Scroll to the line of the cursor; the beginning of the line stays in sight where the
+        column permits it.
         """
         area = self.query_one(TextArea)
         area.scroll_cursor_visible(center=True)

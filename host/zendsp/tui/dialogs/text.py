@@ -1,4 +1,4 @@
-"""A text to read, with or without a question to agree to."""
+"""A text to read, with or without a question that can be agreed to."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WAYS = {  # key: pages and rows down
 
 
 class Message(Dialog[bool]):
-    """Show a text; the result is True if the user agreed, where there is something to agree to."""
+    """Show a text; the result is True if the user agreed to its question."""
 
     DEFAULT_CSS = """
     Message > .box { width: 96; }
@@ -59,7 +59,7 @@ class Message(Dialog[bool]):
         self.dismiss(True)
 
     def action_scroll_text(self, key: str) -> None:
-        """Scroll the text, whatever has the focus."""
+        """Scroll the text, whichever widget has the focus."""
         text = self.query_one(VerticalScroll)
         pages, rows = WAYS[key]
         text.scroll_relative(y=pages * text.size.height + rows, animate=False, immediate=True)

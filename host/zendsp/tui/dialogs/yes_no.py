@@ -1,4 +1,4 @@
-"""A switch that says in words whether it is on: not everybody sees its colour."""
+"""A switch that says in words whether it is on, for people who cannot tell its colours."""
 
 from __future__ import annotations
 

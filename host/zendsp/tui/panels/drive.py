@@ -1,5 +1,4 @@
-"""The state of the drives in the safe sequence, the needs of the next step, and the signals of the
-machine.
+"""The drives in the safe sequence, the conditions of the next step, and the signals of the machine.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ STEPS = (
 
 
 class DrivePanel(Vertical):
-    """The ladder, five buttons, flags."""
+    """The steps of the safe sequence, five buttons, and flags."""
 
     DEFAULT_CSS = """
     DrivePanel #drive-buttons { height: 1; }
@@ -90,7 +89,8 @@ class DrivePanel(Vertical):
         return text
 
     def flags(self, s: Snapshot) -> Text:
-        """Return unmet conditions, the host-lost setting, and the inputs and outputs of each joint.
+        """The conditions that are not met, the host-lost setting, and the inputs and outputs of
+        each joint.
         """
         c = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")

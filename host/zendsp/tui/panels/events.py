@@ -15,7 +15,7 @@ COLOURS = {"good": "success", "warning": "warning", "error": "error"}
 
 
 class EventsPanel(RichLog):
-    """Newest at the bottom; bounded."""
+    """The newest events at the bottom, of a bounded number."""
 
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(
@@ -25,13 +25,13 @@ class EventsPanel(RichLog):
         self.border_title = "Events"
 
     def on_resize(self, event: events.Resize) -> None:
-        """Break the lines anew."""
+        """Wrap the lines to the new width."""
         self.clear()
         self._count = 0
 
     def show(self, log: EventLog) -> None:
-        """Append what is new; nothing while it is hidden, since lines are broken at the width of
-        the moment.
+        """Append new events. While the panel is hidden it does nothing, since lines are wrapped at
+        the width that it has when they are written.
         """
         if not self.size.width:
             return

@@ -18,7 +18,7 @@ LEAST_ROWS = 12  # for two panels over one another
 
 
 class FigureView(Vertical):
-    """Up to two panels of a chart, side by side or over one another."""
+    """Up to two panels of a chart, side by side or one above the other."""
 
     DEFAULT_CSS = """
     FigureView { height: 1fr; }
@@ -44,7 +44,7 @@ class FigureView(Vertical):
         return [self.query_one(f"#panel-{k}", PathPlot) for k in range(2)]
 
     def show(self, chart: Chart) -> None:
-        """Draw another chart. A map of colours has no place here; its other panels do."""
+        """Draw another chart. Colour maps are left out."""
         self.chart = chart
         panels = [p for p in chart.panels if p.series][:2]
         if not chart.beside and self.size.height < LEAST_ROWS:
@@ -70,7 +70,7 @@ class FigureView(Vertical):
 
 
 def panel_curves(panel: Panel) -> list[Curve]:
-    """Return the curves of a panel, with its band, its broken line and its shaded spans' borders as
+    """The curves of a panel; its band, its broken line and the borders of its shaded spans are
     curves too.
     """
     curves = [_curve(s, panel.log) for s in panel.series]
@@ -95,7 +95,7 @@ def _curve(series: Series, log: bool) -> Curve:
 
 
 def common_frame(panels: list[Panel], curves: list[list[Curve]]) -> Frame:
-    """Return x0, x1, y0, y1 of panels that have the same axes."""
+    """The limits x0, x1, y0, y1 for panels that share their axes."""
     low, high = extent([c for part in curves for c in part])
     bottom, top = panels[0].limits or (float(low[1]), float(high[1]))
     left, right = float(low[0]), float(high[0])

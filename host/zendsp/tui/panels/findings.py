@@ -1,4 +1,4 @@
-"""The lines of a diagnosis to choose from: each has a figure or a text behind it."""
+"""The lines of a diagnosis to choose from; behind each is a figure or a text."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Hanging:
-    """A line of the list: what wraps goes on beside the label, not under it."""
+    """A line of the list whose wrapped text continues beside the label, not below it."""
 
     text: Text
 
@@ -45,17 +45,17 @@ class Hanging:
 
 
 def headline(report: Report) -> str:
-    """Return the verdict in one sentence; of reports of before it was written there, its word."""
+    """The verdict in one sentence; in one word where an older report has no sentence."""
     return report.get("headline", report["verdict"])
 
 
 def unseen(report: Report) -> tuple[int, ...]:
-    """Joints of which the recordings show nothing."""
+    """The joints about which the recordings show nothing."""
     return dark((x["joint"], x["interval"]) for x in report["discrepancy"])
 
 
 def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:
-    """Return every line of a diagnosis, findings first.
+    """Every line of a diagnosis, findings first.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def _plain(label: str, text: str) -> Text:
 
 
 def _of(section: str, charts: Sequence[Chart]) -> list[Chart]:
-    """The charts of a section that can be drawn here, joint by joint."""
+    """The charts of a section that a terminal can draw, joint by joint."""
     drawn = (c for c in charts if c.section == section and all(p.mesh is None for p in c.panels))
     return sorted(drawn, key=lambda c: c.joint)
 
@@ -120,7 +120,7 @@ def _errors(r: Report, charts: Sequence[Chart]) -> list[Entry]:
 
 
 def _fell(fit: FitReport, found: bool) -> str:
-    """The error before and after what was found, and what the sensor alone leaves."""
+    """The error of the calibrated and of the improved model, and that of the sensor alone."""
     t, unit = fit["test"], fit["unit"]
     # null: a simulation that ran away
     given, calibrated, improved = (
@@ -141,7 +141,7 @@ def _where(r: Report) -> str:
 
 
 def _left(r: Report, charts: Sequence[Chart]) -> list[Entry]:
-    """The line of the unexplained torque."""
+    """The line on the unexplained torque."""
     made = []
     white = {c.joint: c for c in _of("white", charts)}
     refined = [f"{f['sentence']} (improves the fit, not claimed)" for f in r["refinements"]]

@@ -1,4 +1,4 @@
-"""Lines of text that change all the time; those that changed are painted."""
+"""Lines of text that change often; only those that changed are painted."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from textual.widget import Widget
 
 
 class Lines(Widget):
-    """Styled text as it is: no line is broken; what is too long ends in an ellipsis.
+    """Styled text without wrapping: a line that is too long ends in an ellipsis.
 
-    Textual's Static lays all of its text out anew when a letter changes (3 ms for seven lines).
+    Textual's Static lays out all of its text when one letter changes (3 ms for seven lines).
     """
 
     DEFAULT_CSS = "Lines { height: auto; }"
@@ -40,7 +40,7 @@ class Lines(Widget):
                 self.refresh(Region(0, y, self.size.width, 1))
 
     def notify_style_update(self) -> None:
-        """Colours of the theme are in the strips."""
+        """Paint again, since the lines hold the colours of the theme."""
         self._strips = {}
         super().notify_style_update()
 

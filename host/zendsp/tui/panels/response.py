@@ -1,4 +1,4 @@
-"""Frequency responses over one another: magnitude and phase."""
+"""Frequency responses in one plot: magnitude and phase."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROOM = 6  # rows of a view for one of words
 
 
 class ResponseView(Vertical):
-    """Up to four frequency responses: dB and deg over f."""
+    """Up to four frequency responses: dB and deg over frequency."""
 
     DEFAULT_CSS = """
     ResponseView #response-words { height: auto; }
@@ -43,7 +43,7 @@ class ResponseView(Vertical):
             yield PathPlot(id="phase")
 
     def show(self, responses: Sequence[tuple[str, int, FrequencyResponse]]) -> None:
-        """Draw others: the name, the colour and the response of each."""
+        """Draw other responses, each with a name and a colour."""
         self._words = "".join(r.summary() for _, _, r in responses[-1:])
         self._say()
         units = {r.unit for _, _, r in responses}
@@ -64,7 +64,7 @@ class ResponseView(Vertical):
         self._say()
 
     def _say(self) -> None:
-        """Three lines of words, more in a high view, and a mark where there were more."""
+        """Three lines of text, more where the view is high, and a mark where some are left out."""
         words, width = self._words, self.size.width
         if width:
             most = max(3, self.size.height // ROOM)

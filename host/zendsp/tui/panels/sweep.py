@@ -1,4 +1,4 @@
-"""The table of a sweep: what each set of parameters did."""
+"""The table of a sweep: the result of each set of parameters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 
 class SweepView(Vertical):
-    """One row for each set of parameters; the best is marked, and all that are as good."""
+    """One row for each set of parameters. The best one is marked, and those that cannot be told
+    from it.
+    """
 
     DEFAULT_CSS = """
     SweepView Static { height: auto; }
@@ -51,5 +53,5 @@ class SweepView(Vertical):
         table.move_cursor(row=sweep.best_row() or 0)
 
     def values(self, row: int) -> Mapping[str, Assignable]:
-        """Return the parameters of a row."""
+        """The parameters of a row."""
         return {} if self.sweep is None else self.sweep.rows[row].values

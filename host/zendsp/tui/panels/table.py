@@ -1,7 +1,7 @@
-"""A table for values that change all the time.
+"""A table for values that change often.
 
-Textual's DataTable renders every visible cell anew when one changes (80 ms a screen); this one
-paints the rows that changed.
+Textual's DataTable renders every visible cell when one changes (80 ms a screen); this one paints
+only the rows that changed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from textual.widgets.data_table import RowKey
 
 @dataclass(frozen=True)
 class Column:
-    """A heading, and how wide what stands below may become."""
+    """A heading, and the largest width of the column."""
 
     title: str
     width: int = 0  # 0: as wide as the widest cell, at most `most`
@@ -34,7 +34,7 @@ class Column:
 
 
 def mark_cuts(strip: Strip, left: bool, right: bool) -> Strip:
-    """Put "…" where what is seen of a line is cut within a word or a number."""
+    """The line, with "…" where its visible part is cut within a word or a number."""
     text, width = strip.text, strip.cell_length
     if right and width > 1 and text[-1:] != " ":
         strip = Strip([*strip.crop(0, width - 1), Segment("…", Style(dim=True))], width)
@@ -44,11 +44,13 @@ def mark_cuts(strip: Strip, left: bool, right: bool) -> Strip:
 
 
 class ListTable(DataTable[Text]):
-    """A DataTable that shows what its edges cut: "0.00" of "0.00407" would be another number."""
+    """A DataTable that marks what its edges cut: the visible "0.00" of "0.00407" would be another
+    number.
+    """
 
     def add_row(self, *cells: Text, **options: Any) -> RowKey:
-        """Add a row, and give its cells their room at once: a picture before the next idle moment
-        would stay as it is.
+        """Add a row and widen the columns for it at once: Textual does so only when idle, after the
+        next picture.
         """
         for column, cell in zip(self.ordered_columns, cells, strict=False):
             column.content_width = max(column.content_width, cell.cell_len)
@@ -71,7 +73,7 @@ HEADING = Style(bold=True, dim=True, underline=True)
 
 
 class LiveTable(ScrollView, can_focus=True):
-    """Rows of styled text with a cursor; the first line is the heading and stays."""
+    """Rows of styled text with a cursor, below a heading that does not scroll."""
 
     DEFAULT_CSS = """
     LiveTable { height: 1fr; scrollbar-size-horizontal: 0; }
@@ -112,7 +114,7 @@ class LiveTable(ScrollView, can_focus=True):
         return self._keys[self._cursor] if self._keys else ""
 
     def set_rows(self, rows: Sequence[tuple[str, tuple[Cell, ...]]]) -> None:
-        """Show other rows; the cursor stays on its key where that is still there."""
+        """Show other rows; the cursor keeps its key where that is still there."""
         at = self.marked
         self._keys = [key for key, _ in rows]
         self._cells = [cells for _, cells in rows]
@@ -159,11 +161,11 @@ class LiveTable(ScrollView, can_focus=True):
         self._go(self._cursor + rows)
 
     def action_page(self, pages: int) -> None:
-        """Move the cursor by what is in sight."""
+        """Move the cursor by as many rows as are visible."""
         self._go(self._cursor + pages * max(self.size.height - 2, 1))
 
     def action_sideways(self, columns: int) -> None:
-        """Show what stands further right, or left."""
+        """Scroll to the right or left."""
         self.scroll_to(x=self.scroll_offset.x + columns, animate=False)
 
     def on_click(self, event: events.Click) -> None:
@@ -175,17 +177,17 @@ class LiveTable(ScrollView, can_focus=True):
                 self.post_message(self.Chosen())
 
     def on_focus(self) -> None:
-        """The cursor shows the focus."""
+        """Paint the cursor, which shows the focus."""
         self._paint(self._cursor)
 
     def on_blur(self) -> None:
-        """The cursor shows the focus."""
+        """Paint the cursor, which shows the focus."""
         self._paint(self._cursor)
 
     # -- painting
 
     def notify_style_update(self) -> None:
-        """Another theme has another ground."""
+        """Paint again in the background of another theme."""
         self._back = None
         super().notify_style_update()
 

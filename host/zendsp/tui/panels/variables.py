@@ -1,5 +1,5 @@
-"""The table of variables: value, unit, limits, initial value, and marks for what is plotted, staged
-or changed.
+"""The table of variables: value, unit, limits, initial value, and marks on those that are plotted,
+staged or changed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ COLUMNS = (
 
 
 class VariablesPanel(Vertical):
-    """Filter line above the table."""
+    """The table of variables, with a filter line above it."""
 
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
@@ -66,7 +66,7 @@ class VariablesPanel(Vertical):
         self._words = event.value.lower()
 
     def on_key(self, event: events.Key) -> None:
-        """Esc leaves the filter line, and shows all again."""
+        """On Esc leave the filter line and show all variables."""
         line = self.query_one("#filter", Input)
         if event.key == "escape" and line.has_focus:
             event.stop()
@@ -123,7 +123,7 @@ class VariablesPanel(Vertical):
 
 
 def sizes(v: Variable) -> str:
-    """Elements of an array; rows and columns of a matrix."""
+    """The size of an array, or the rows and columns of a matrix, as text."""
     matrix = v.columns > 1 and v.kind != VariableKind.TABLE
     return f"{v.length // v.columns},{v.columns}" if matrix else str(v.length)
 

@@ -25,7 +25,7 @@ PICTURES = (".png", ".svg", ".pdf")
 
 @dataclass(frozen=True)
 class Seen:
-    """Rows within the picture, and how they are looked at."""
+    """Rows within the picture, and the view in which they are shown."""
 
     channels: tuple[Channel, ...]
     t: Floats  # s, shape (n,)
@@ -35,7 +35,7 @@ class Seen:
 
 
 def check_name(text: str) -> str:
-    """Return the name of a file that can be written, or refuse it."""
+    """The name of a file that can be written; another is refused."""
     kinds = (*PICTURES, *WRITERS)
     if Path(text).suffix.lower() not in kinds:
         raise ValueError(f"end the name with {', '.join(kinds[:-1])} or {kinds[-1]}")
@@ -43,7 +43,7 @@ def check_name(text: str) -> str:
 
 
 def export(seen: Seen, path: Path) -> Path:
-    """Write rows, or draw them; of a spectrum, frequencies and densities.
+    """Write the rows, or draw them; of a spectrum, frequencies and densities.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 """Curves that are computed from others: ``e = r1 - q1``, ``w = d(q[0])``, ``s = lp(u, 20)``.
 
-An expression is read once into nested functions of arrays; nothing is ever evaluated as Python.
-Derivative and filter keep their state from block to block, so a live curve is computed once.
+An expression is turned once into nested functions of arrays; nothing is evaluated as Python.
+Derivative and filter keep their state from block to block, so each row of a live curve is computed
+once.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ FUNCTIONS = (*_ONE, *_TWO, "d", "lp")
 
 
 class FormulaError(ValueError):
-    """An expression that cannot be read; the message is for who typed it."""
+    """An expression that cannot be read; the message is for the person who typed it."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Formula:
         return cls(name, unit.strip(), expression, names)
 
     def begin(self) -> Step:
-        """Return a function from blocks of rows to values, which keeps its state between them."""
+        """A function from blocks of rows to values, which keeps its state between blocks."""
         return _build(_parse(self.expression))
 
 
@@ -174,7 +175,7 @@ def _number(node: ast.expr) -> float:
 
 
 def _quiet(work: Callable[..., Floats], *values: Floats) -> Floats:
-    """What is undefined becomes NaN, a gap."""
+    """The result of ``work``; where it is undefined it is NaN, which is drawn as a gap."""
     with np.errstate(all="ignore"):
         return work(*values)
 
@@ -218,7 +219,7 @@ class _LowPass:
 
 
 def _unit(node: ast.AST, units: Mapping[str, str]) -> str | None:
-    """The unit of an expression where it is plain; None where it is not."""
+    """The unit of an expression where it follows simply from those of its signals; else None."""
     name = _signal(node)
     if name is not None:
         return units.get(name)
@@ -242,7 +243,7 @@ def _unit(node: ast.AST, units: Mapping[str, str]) -> str | None:
 
 
 def sources(channels: Sequence[Channel]) -> list[str]:
-    """Return the signals that a target must send for these curves, each once."""
+    """The signals that a target must send for these curves, each once."""
     found: dict[str, None] = {}
     for channel in channels:
         if not channel.formula:

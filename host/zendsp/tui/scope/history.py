@@ -1,4 +1,4 @@
-"""The rows of the scope: a ring of bounded size that a thread fills and the screen reads."""
+"""The rows of the scope: a ring of bounded size that one thread fills and the screen reads."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class History:
         self._lock = threading.Lock()
 
     def chosen(self, columns: Sequence[int]) -> History:
-        """Return a history of other columns that has the rows so far; a column -1 is a new one,
-        NaN until now.
+        """A history of other columns that keeps the rows so far; a column -1 is a new one, of NaN
+        until now.
         """
         found = History(len(columns), self._rows)
         with self._lock:
@@ -47,13 +47,13 @@ class History:
 
     @property
     def count(self) -> int:
-        """Rows written since the beginning; changes if and only if there is something new to draw.
+        """Rows written since the beginning; it changes exactly when there is something new to draw.
         """
         return self._count
 
     def append(self, ticks: npt.NDArray[np.int64], rows: Floats, period_s: float) -> None:
-        """Add rows, newest last. A jump in the ticks leaves a NaN row, so that the curve shows a
-        gap, not a lie.
+        """Add rows, newest last. A jump in the ticks leaves a row of NaN, so that the curve shows a
+        gap.
 
         Parameters
         ----------
@@ -96,8 +96,7 @@ class History:
         self._count += n
 
     def newest(self, most: int | None = None) -> tuple[Floats, Floats]:
-        """Return copies of the newest rows in order: times, shape (n,), and values, shape (n,
-        channels).
+        """Copies of the newest rows in order: times, shape (n,), and values, shape (n, channels).
         """
         with self._lock:
             n = min(self._count, self._rows, self._rows if most is None else most)
@@ -111,7 +110,7 @@ class History:
             )
 
     def since(self, start: float) -> tuple[Floats, Floats]:
-        """Return copies of the rows not older than ``start`` (s), with one more before it."""
+        """Copies of the rows not older than ``start`` (s), and of the one before them."""
         with self._lock:
             held = min(self._count, self._rows)
             end = self._count % self._rows
@@ -128,6 +127,6 @@ class History:
             return float(self._t[(self._count - 1) % self._rows]) if self._count else float("nan")
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Drop all rows."""
         with self._lock:
             self._count, self._last_tick, self._step = 0, -1, 0

@@ -1,4 +1,4 @@
-"""Arrangements of the scope by name: one JSON file each, in the user's folder of settings."""
+"""Layouts of the scope by name: one JSON file each, in the user's folder of settings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Layout:
 
 
 def layouts_folder() -> Path:
-    """Return where layouts are kept: under ``$XDG_CONFIG_HOME``, else ``~/.config``."""
+    """The folder of layouts: under ``$XDG_CONFIG_HOME``, else ``~/.config``."""
     root = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
     return Path(root) / "zendsp" / "layouts"
 
@@ -67,7 +67,7 @@ def load_layout(path: Path) -> Layout:
 
 
 def _mistyped(body: Any, where: str) -> str:
-    """Say which keys of a layout nobody reads."""
+    """A sentence on keys of a layout that do not exist."""
     settings, scales = body["settings"], body["settings"].get("scales", {})
     tables = [
         (body, ("zendsp_layout", *_names(Layout)), f"{where}: the file"),
@@ -83,7 +83,7 @@ def _names(kind: Any) -> tuple[str, ...]:
 
 
 def _check(channels: tuple[Channel, ...], s: ScopeSettings) -> None:
-    """Refuse what the scope could not draw; a file may have been edited."""
+    """Refuse settings that the scope could not draw; the file may have been edited."""
     for channel in channels:
         if channel.formula:
             Formula.read(f"{channel.name} = {channel.formula}")

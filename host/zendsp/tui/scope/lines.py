@@ -1,4 +1,6 @@
-"""The lines of the scope as text: its legend, the numbers beside and below, the cells between."""
+"""The text of the scope: its legend, the numbers of its axes, and the cells of its picture as
+lines.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ LEGEND_ROWS = 3  # at the most: what is below is the picture
 def legend_lines(
     texts: Sequence[Sequence[str]], width: int, taken: int
 ) -> list[list[tuple[int, str]]]:
-    """Return the rows of a legend in which every curve has its place: number and text of each.
+    """The rows of a legend in which every curve has a place: number and text of each.
 
     Parameters
     ----------
@@ -63,7 +65,7 @@ def plot_rows(
     width: int,
     note: str = "",
 ) -> list[Strip]:
-    """Return the picture with the numbers of its y axes, by row; a note in its middle."""
+    """The rows of the picture with the numbers of the y axes, and a note in the middle."""
     strips = []
     owners = _pens_held(picture.owner)
     columns = owners.shape[1]
@@ -84,8 +86,8 @@ def plot_rows(
 
 
 def _pens_held(owner: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
-    """Let empty cells have the pen of what is left of them: each change of the pen costs time here
-    and bytes of the terminal.
+    """Give empty cells the pen of the cell to their left: each change of pen costs time here and
+    bytes on the terminal.
     """
     at = np.where(owner == EMPTY, 0, np.arange(owner.shape[1]))
     return np.take_along_axis(owner, np.maximum.accumulate(at, axis=1), axis=1)
@@ -94,7 +96,7 @@ def _pens_held(owner: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
 def y_numbers(
     picture: Picture, selected: int, pens: Mapping[int, Style]
 ) -> dict[int, tuple[str, Style]]:
-    """Numbers beside the plot, by row; the lane's unit stands in its first row."""
+    """The numbers beside the plot, by row; a lane's unit stands in its first row."""
     lanes = picture.lanes
     if len(lanes) > 1 and lanes[0].row == lanes[1].row:
         lanes = tuple(lane for lane in lanes if selected in lane.channels)
@@ -114,7 +116,7 @@ def y_numbers(
 
 
 def time_axis(picture: Picture, width: int, pen: Style) -> Strip:
-    """Return the numbers below the plot."""
+    """The numbers below the plot."""
     line = [" "] * width
     columns = width - GUTTER
     marks = picture.time_ticks

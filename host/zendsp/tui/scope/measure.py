@@ -30,7 +30,7 @@ class Measured:
 
 
 def measure(t: Floats, y: Floats, a: float, b: float) -> Measured:
-    """Measure one curve between two times.
+    """The statistics of one curve between two times.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def measure(t: Floats, y: Floats, a: float, b: float) -> Measured:
 
 
 def _step(t: Floats, y: Floats, reach: float) -> tuple[float, float]:
-    """Rise time and overshoot, where the curve ends clearly elsewhere than it began."""
+    """Rise time and overshoot, where the curve ends clearly away from where it began."""
     tenth = max(len(y) // 10, 1)
     begin, end = float(y[0]), float(y[-tenth:].mean())
     way = end - begin
@@ -82,8 +82,8 @@ def _step(t: Floats, y: Floats, reach: float) -> tuple[float, float]:
 def cursor_lines(
     picture: Picture, settings: ScopeSettings, channel: Channel, t: Floats, y: Floats, width: int
 ) -> tuple[str, str]:
-    """Return what the cursors measure of the selected channel: at them, and between them; where
-    there is no room, whole numbers are left out.
+    """Two lines on what the cursors measure of the selected channel: at each cursor, and between
+    them. Numbers for which there is no room are left out whole.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def cursor_lines(
 
 
 def whole_words(line: str, width: int) -> str:
-    """Leave out at the end what has no room, from one double blank to the next: a number that is
-    cut would be another number.
+    """The line without the items at its end that have no room. Items are separated by double
+    blanks; a number is never cut, since it would be another number.
     """
     while len(line) > width and "  " in line.strip(" …"):
         line = f"{line.rstrip(' …').rpartition('  ')[0]} …"

@@ -1,5 +1,5 @@
-"""A curve in the plane with equal scales on both axes: the path of a tip, or position against
-velocity.
+"""A curve in the plane, with equal scales on both axes: the path of a tip, or velocity over
+position.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LEAST_FOR_NAME = 8  # lines of a plot that has one for the name of its x axis
 
 @dataclass(frozen=True)
 class Curve:
-    """Points; ``trace`` is the colour number, −1 is faint."""
+    """The points of a curve; ``trace`` is its colour number, −1 is faint."""
 
     name: str
     xy: Floats  # (n, 2)
@@ -36,7 +36,7 @@ class Curve:
 
 
 def draw_line(dots: npt.NDArray[np.bool_], x: Floats, y: Floats) -> None:
-    """Set the dots along a polyline given in dot coordinates; parts outside, and NaN, are left out.
+    """Set the dots along a polyline given in dot coordinates. Parts outside, and NaN, are left out.
     """
     rows, columns = dots.shape
     x, y = _moving(x, y)
@@ -51,7 +51,7 @@ def draw_line(dots: npt.NDArray[np.bool_], x: Floats, y: Floats) -> None:
 
 
 def _moving(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Leave out the points that fall on the dot of the one before: of a slow path most of them."""
+    """The points that fall on another dot than the one before; on a slow path most do not."""
     moves = (np.diff(np.rint(x)) != 0.0) | (np.diff(np.rint(y)) != 0.0)  # NaN is not zero either
     kept = np.ones(len(x), dtype=bool)
     kept[1:] = moves
@@ -66,7 +66,7 @@ def draw_marks(dots: npt.NDArray[np.bool_], x: Floats, y: Floats) -> None:
 
 
 def _set(dots: npt.NDArray[np.bool_], x: Floats, y: Floats) -> None:
-    """Set the dots nearest to some points; what is outside, and NaN, is left out."""
+    """Set the dots nearest to the points; those outside, and NaN, are left out."""
     rows, columns = dots.shape
     seen = np.isfinite(x) & np.isfinite(y)
     at_x, at_y = np.rint(x[seen]), np.rint(y[seen])
@@ -79,7 +79,7 @@ DRAWN = {"line": draw_line, "dots": _set, "marks": draw_marks}
 
 @dataclass(frozen=True)
 class Axes:
-    """How curves are framed."""
+    """The axes around curves: names, limits and scales."""
 
     names: tuple[str, str] = ("x [m]", "y [m]")
     equal: bool = True  # scales of both axes are the same, so that a circle is round
@@ -93,7 +93,7 @@ class Axes:
 def plot_lines(
     curves: Sequence[Curve], axes: Axes, size: tuple[int, int], pens: TraceColours, back: Style
 ) -> list[Strip]:
-    """Draw curves in the plane with a legend above and both axes.
+    """The lines of a plot in the plane, with a legend above and both axes.
 
     Parameters
     ----------
@@ -150,7 +150,9 @@ def plot_lines(
 def _legend(
     curves: Sequence[Curve], axes: Axes, pen: Callable[[int], Style], faint: Style, full: int
 ) -> list[Segment]:
-    """Name of the y axis, title, and the curves' names, each cut where there is no room for all."""
+    """The name of the y axis, the title and the names of the curves, each cut where there is no
+    room for all.
+    """
     above = f" {axes.names[1]}".ljust(GUTTER)
     title = f" {axes.title} " if axes.title else ""
     named = [c for c in curves if c.name]
@@ -168,7 +170,8 @@ def _legend(
 
 
 def _x_axis(axes: Axes, ends: tuple[float, float], width: int, full: int) -> list[str]:
-    """The numbers below, with the name of the axis behind the last or on a second line."""
+    """The numbers below the plot, with the name of the axis after the last one or on a second line.
+    """
     x0, x1 = ends
     line = [" "] * full
     for v, text in _numbers(x0, x1, max(width // 12, 4), axes.log_x):
@@ -184,7 +187,7 @@ def _x_axis(axes: Axes, ends: tuple[float, float], width: int, full: int) -> lis
 def _frame(
     curves: Sequence[Curve], axes: Axes, width: int, height: int
 ) -> tuple[float, float, float, float]:
-    """Return x0, x1, y0, y1 that hold every curve."""
+    """The limits x0, x1, y0, y1 within which all curves lie."""
     if axes.frame is not None:
         return axes.frame
     low, high = extent(curves)
@@ -197,13 +200,13 @@ def _frame(
 
 
 def _in_order(curves: Sequence[Curve]) -> list[Curve]:
-    """From the faint ones up; a line over the marks, the marks over the dots."""
+    """The curves in the order of drawing: faint ones first; dots, then marks, then lines."""
     level = {"dots": 0, "marks": 1, "line": 2}
     return sorted(curves, key=lambda c: (c.trace >= 0, level[c.style], c.trace))
 
 
 def _numbers(bottom: float, top: float, most: int, log: bool) -> list[tuple[float, str]]:
-    """Where the numbers of an axis stand, and what they are."""
+    """The positions and the texts of an axis's numbers."""
     if log:
         return [(v, _power(10.0**v)) for v in log_ticks(bottom, top, most)]
     values = ticks(bottom, top, most)
@@ -258,7 +261,7 @@ class PathPlot(Widget):
 
 
 def extent(curves: Sequence[Curve]) -> tuple[Floats, Floats]:
-    """Return the lower left and upper right corner of all points."""
+    """The lower left and the upper right corner of all points."""
     points = np.concatenate([c.xy for c in curves]) if curves else np.zeros((1, 2))
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:

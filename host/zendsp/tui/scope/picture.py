@@ -1,4 +1,4 @@
-"""Composes one picture of the scope: lanes, grid, curves, trigger and cursors, as arrays of cells.
+"""Composes one picture of the scope (lanes, grid, curves, trigger and cursors) as arrays of cells.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LOWEST_LANE = 4  # character rows below which lanes are drawn over one another
 
 @dataclass(frozen=True)
 class Lane:
-    """A stretch of rows with one y axis."""
+    """A block of rows with one y axis."""
 
     key: str  # tells one lane from another: a unit, or the curve or number that has its own
     unit: str  # "" where its curves have several
@@ -32,7 +32,7 @@ class Lane:
     top: float = 1.0
 
     def at(self, value: float) -> float:
-        """Return the character row (fractional) at which ``value`` is drawn."""
+        """The character row (fractional) at which ``value`` is drawn."""
         return self.row + (self.top - value) / (self.top - self.bottom) * self.rows
 
 
@@ -50,13 +50,14 @@ class Picture:
 
 
 def blank(view: tuple[float, float, float]) -> Picture:
-    """Return a picture of nothing, with borders and zero in time."""
+    """An empty picture, with its limits and zero in time."""
     codes = np.zeros((0, 0), dtype=np.uint8)
     return Picture(codes, codes.astype(np.int8), (), *view, ())
 
 
 def arrange(channels: Sequence[Channel], settings: ScopeSettings, height: int) -> list[Lane]:
-    """Give each unit, or each curve, a lane of its own where there is room, else the whole height.
+    """The lanes: one for each unit, or for each curve, where there is room; else one of the whole
+    height.
     """
     groups: dict[str, list[int]] = {}
     for k, channel in enumerate(channels):
@@ -92,7 +93,7 @@ def _common_unit(channels: Sequence[Channel], members: Sequence[int]) -> str:
 def _asked(
     found: tuple[float, float], lane: Lane, channels: Sequence[Channel], settings: ScopeSettings
 ) -> tuple[float, float]:
-    """The range of a lane, with the ends that the user has set."""
+    """The range of a lane, with the limits that the user has set."""
     scales = [settings.scales.get(channels[k].name, Scale()) for k in lane.channels]
     low = next((s.low for s in scales if s.low is not None), found[0])
     high = next((s.high for s in scales if s.high is not None), found[1])
@@ -102,10 +103,10 @@ def _asked(
 
 
 def fit_range(low: Floats, high: Floats, held: tuple[float, float] | None) -> tuple[float, float]:
-    """Return a y range that holds all values with a margin, and that changes only when it must.
+    """A y range that holds all values with a margin, and that changes only when it must.
 
-    Growing happens at once; shrinking waits until the curve fills less than 40 % of the held range,
-    so that the axis of a rolling picture does not tremble.
+    It grows at once. It shrinks only when the curve fills less than 40 % of it, so that the axis of
+    a rolling picture does not jitter.
     """
     finite_low, finite_high = low[np.isfinite(low)], high[np.isfinite(high)]
     if len(finite_low) == 0 or len(finite_high) == 0:
@@ -185,7 +186,7 @@ def _lay(
     dots: npt.NDArray[np.bool_],
     pen: int,
 ) -> npt.NDArray[np.uint8]:
-    """Lay dots over what is drawn, and return them as cells."""
+    """Put dots over what is drawn, and return the cells."""
     cells = encode(dots) if dots.any() else np.zeros_like(codes)
     codes[cells > 0] = cells[cells > 0]
     owner[cells > 0] = pen
@@ -199,7 +200,7 @@ def _grid(
     start: float,
     end: float,
 ) -> None:
-    """Dotted lines at the round numbers of both axes."""
+    """Draw dotted lines at the round numbers of both axes."""
     rows, columns = dots.shape
     for lane in lanes:
         last = lane.rows * DOTS_Y - 1
@@ -216,7 +217,7 @@ def _grid(
 def _bounds(
     dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], limits: Mapping[str, Sequence[float]]
 ) -> npt.NDArray[np.bool_]:
-    """Limits of the machine as broken lines."""
+    """Draw the machine's limits as broken lines."""
     columns = np.arange(dots.shape[1])
     for lane in lanes:
         for value in limits.get(lane.unit, ()):
@@ -231,7 +232,7 @@ def _bounds(
 def _marks(
     dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], settings: ScopeSettings
 ) -> npt.NDArray[np.bool_]:
-    """Trigger level and position, and the two cursors."""
+    """Draw the trigger's level and position, and the two cursors."""
     columns = dots.shape[1]
     if settings.mode == "trigger":
         dots[::3, min(int(settings.pre * columns), columns - 1)] = True

@@ -16,7 +16,7 @@ Floats = npt.NDArray[np.float64]
 def over_selected(
     channels: Sequence[Channel], selected: int, y: Floats
 ) -> tuple[list[Curve], Axes]:
-    """Return the curves of an XY plot: all over the selected one; alone it is over itself."""
+    """The curves of an XY plot: each over the selected one; a single curve over itself."""
     base = channels[selected]
     others = [k for k in range(len(channels)) if k != selected] or [selected]
     curves = [
@@ -34,7 +34,7 @@ def over_frequency(
     amplitude: Floats,
     lacking: str = "too few rows for a spectrum: widen the time (-)",
 ) -> tuple[list[Curve], Axes]:
-    """Return the curves of a spectrum, both axes logarithmic; `lacking` says why there are none."""
+    """The curves of a spectrum, both axes logarithmic; `lacking` says why there are none."""
     with np.errstate(divide="ignore", invalid="ignore"):
         x, y = np.log10(f), np.log10(amplitude)
     y[~np.isfinite(y)] = np.nan

@@ -1,8 +1,8 @@
-"""Curves to braille dots, with numpy only: the part of the scope that knows nothing of terminals.
+"""Turns curves into braille dots, with NumPy only; it knows nothing of terminals.
 
-A terminal cell holds 2 × 4 dots. A curve is reduced to the interval of values it visits within each
-dot column, so a spike of one sample survives any zoom. The intervals are filled into a raster of
-booleans; eight booleans make one character.
+A terminal cell holds 2 × 4 dots. A curve is reduced to the interval of values that it takes within
+each dot column, so that a spike of one sample is seen at any zoom. The intervals are filled into a
+raster of booleans; eight booleans make one character.
 """
 
 from __future__ import annotations

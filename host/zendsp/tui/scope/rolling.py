@@ -14,7 +14,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class Rolling:
-    """Keeps the dot columns of a picture that rolls; those behind the newest row do not change.
+    """Keeps the dot columns of a rolling picture; those left of the newest row do not change.
 
     Column ``k`` lies between the times ``k·step`` and ``(k + 1)·step``, wherever it is drawn.
     """
@@ -26,7 +26,7 @@ class Rolling:
         self._low = self._high = np.zeros((0, 0))
 
     def moves(self, history: History, step: float, columns: int) -> bool:
-        """Tell whether the next picture is another one than a glance later would show."""
+        """Whether there are rows that would change the picture."""
         latest = history.latest
         return self._of != (history, step, columns) or not (
             self._latest <= latest and math.floor(latest / step) == self._first + columns - 1

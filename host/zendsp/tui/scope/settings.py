@@ -22,7 +22,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Scale:
-    """Where one curve is drawn, apart from the others."""
+    """The scale of one curve that has its own."""
 
     lane: int = 0  # curves of one number share a lane; 0: as the others
     low: float | None = None  # at the bottom, in the curve's unit; None: what is seen
@@ -31,7 +31,9 @@ class Scale:
 
 @dataclass(frozen=True)
 class ScopeSettings:
-    """All knobs; a frozen value, so that a redraw always sees a consistent set."""
+    """All settings of the scope. They are immutable, so that a picture is drawn from a consistent
+    set.
+    """
 
     mode: str = "roll"  # "roll" | "trigger"
     window: float = 5.0  # s across the picture

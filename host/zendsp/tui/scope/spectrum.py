@@ -16,9 +16,9 @@ _loading: list[threading.Thread] = []
 
 
 def ready() -> bool:
-    """Whether a spectrum can be made at once; if not, what it needs is being loaded meanwhile.
+    """Whether a spectrum can be computed at once. If not, SciPy is loaded in the background.
 
-    SciPy takes half a second to load, on a busy machine many: the screen must not stand still.
+    That takes half a second, on a busy computer many: the screen must not stand still.
     """
     if not _loading:
         _loading.append(threading.Thread(target=_load, name="spectrum", daemon=True))
@@ -31,10 +31,10 @@ def _load() -> None:
 
 
 def density(t: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return frequencies and amplitude spectral densities, by Welch's method.
+    """Frequencies and amplitude spectral densities, by Welch's method.
 
-    Rows that never arrived leave a gap; the longest part without one is taken. The mean is removed
-    from each piece; pieces are weighted by a Hann window and overlap by half.
+    Rows that never arrived leave a gap; the longest part without a gap is used. The mean of each
+    segment is removed; segments are weighted by a Hann window and overlap by half.
 
     Parameters
     ----------

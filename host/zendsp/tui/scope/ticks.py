@@ -26,8 +26,8 @@ def round_down(value: float) -> float:
 
 
 def ticks(bottom: float, top: float, most: int) -> list[float]:
-    """Return some ``most`` round numbers within [bottom, top], and two at the least where two are
-    asked for: one alone is no scale.
+    """About ``most`` round numbers within [bottom, top]. Where two are asked for there are at least
+    two, since one number is no scale.
     """
     span = top - bottom
     if not (math.isfinite(span) and span > 0.0) or most < 1:
@@ -43,8 +43,8 @@ def ticks(bottom: float, top: float, most: int) -> list[float]:
 
 
 def log_ticks(bottom: float, top: float, most: int) -> list[float]:
-    """Return the powers of some ``most`` round numbers (1, 2, 5 · 10ᵏ, or decades) within
-    10**bottom … 10**top; where there are fewer than two of these, of evenly spaced powers.
+    """The exponents of about ``most`` round numbers (1, 2, 5 · 10ᵏ, or decades) within 10**bottom …
+    10**top; where there are fewer than two, of evenly spaced ones.
     """
     if not (math.isfinite(top - bottom) and top > bottom):
         return []
@@ -65,8 +65,8 @@ def _multiples(bottom: float, top: float, step: float) -> list[float]:
 
 
 def label(value: float, step: float) -> str:
-    """Return ``value`` with just the decimals that ``step`` needs; very large and very small ones
-    in powers of ten.
+    """``value`` with as many decimals as ``step`` needs; very large and very small ones in powers
+    of ten.
     """
     if value == 0.0 or abs(value) < 1e-9 * abs(step):
         return "0"
@@ -78,12 +78,12 @@ def label(value: float, step: float) -> str:
 
 
 def beside(text: str, room: int) -> str:
-    """Return what stands to the left of an axis; a number cut in silence would be another one."""
+    """A text that fits to the left of an axis; a number that does not fit ends in an ellipsis."""
     return text.rjust(room) if len(text) <= room else f"{text[: room - 1]}…"
 
 
 def duration(seconds: float) -> str:
-    """Return a time in the unit that reads best: ``250 ms``, ``2 s``, ``3 min``."""
+    """A time in the unit that reads best: ``250 ms``, ``2 s``, ``3 min``."""
     size = abs(seconds)
     if size == 0.0:
         return "0 s"
@@ -97,8 +97,8 @@ def duration(seconds: float) -> str:
 
 
 def number(value: float) -> str:
-    """Return a measured value in six characters or a few more: four significant digits, no trailing
-    noise; whole numbers whole.
+    """A measured value with four significant digits, in about six characters; whole numbers without
+    decimals.
     """
     if not math.isfinite(value):
         return "—"
@@ -112,7 +112,7 @@ def number(value: float) -> str:
 
 
 def short(value: float) -> str:
-    """Return a measured value with four significant digits."""
+    """A measured value with four significant digits."""
     if abs(value) < NOTHING:
         return "0"
     return f"{value:.4g}" if math.isfinite(value) else "—"

@@ -9,8 +9,8 @@ Floats = npt.NDArray[np.float64]
 
 
 def last_crossing(t: Floats, y: Floats, level: float, edge: str, latest: float) -> float | None:
-    """Return the time of the newest crossing not after ``latest``, between samples by straight
-    line, or None.
+    """The time of the newest crossing not after ``latest``, interpolated linearly between samples;
+    None where there is none.
 
     Parameters
     ----------

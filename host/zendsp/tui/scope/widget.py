@@ -43,8 +43,7 @@ class Scope(Widget, can_focus=True):
     """Up to eight live curves.
 
     Data come through :attr:`history`, which any thread may fill; :meth:`tick` looks at it and
-    repaints only when there is something new. Everything the user can set is in
-    :attr:`settings`.
+    repaints only where there is something new. All that the user can set is in :attr:`settings`.
     """
 
     DEFAULT_CSS = "Scope { height: 1fr; min-height: 6; }"
@@ -84,7 +83,7 @@ class Scope(Widget, can_focus=True):
     # -- data
 
     def show_channels(self, channels: Sequence[Channel], history: History | None = None) -> None:
-        """Take other channels; ``history`` is made anew unless given. At most eight."""
+        """Show other channels, at most eight; ``history`` is a new one unless given."""
         self.channels = tuple(channels)[:MOST_CHANNELS]
         self.history = history if history is not None else History(len(self.channels))
         selected = min(self.settings.selected, max(len(self.channels) - 1, 0))
@@ -95,14 +94,14 @@ class Scope(Widget, can_focus=True):
         self.redraw()
 
     def set(self, settings: ScopeSettings) -> None:
-        """Take other settings and repaint."""
+        """Use other settings and repaint."""
         self.settings = settings
         self.redraw()
         self.post_message(self.Changed())
 
     def pause(self, paused: bool) -> None:
-        """Freeze the picture, or let it live again. A frozen picture keeps its data whatever
-        arrives meanwhile.
+        """Freeze the picture, or let it run again. A frozen picture keeps its data whatever
+        arrives.
         """
         self.paused = paused
         self.past = 0.0
@@ -117,7 +116,7 @@ class Scope(Widget, can_focus=True):
         self.set(replace(self.settings, mode="trigger"))
 
     def pan(self, share: float) -> None:
-        """Move a frozen picture by a share of the window; positive is into the past."""
+        """Move a frozen picture by a fraction of the window; positive is into the past."""
         if not self.paused:
             self.pause(True)
         t = self._frozen[0] if self._frozen is not None else np.zeros(0)
@@ -133,12 +132,14 @@ class Scope(Widget, can_focus=True):
         )
 
     def autoscale(self) -> None:
-        """Fit every y range to what is seen, once, and go on following if automatic."""
+        """Fit every y range once to the visible values; with automatic scaling it goes on
+        following.
+        """
         self._ranges = {}
         self.redraw()
 
     def move_cursor(self, share: float) -> None:
-        """Move the active cursor by a share of the window."""
+        """Move the active cursor by a fraction of the window."""
         s = self.settings
         if s.active == "a":
             self.set(replace(s, cursor_a=float(np.clip(s.cursor_a + share, 0.0, 1.0))))
@@ -158,14 +159,16 @@ class Scope(Widget, can_focus=True):
         self.redraw()
 
     def tick(self) -> None:
-        """Repaint where there is something new; the screen asks thirty times a second."""
+        """Repaint where there is something new; the screen calls it thirty times a second."""
         if not self.live or self.paused or self.history.count == self._seen:
             return
         if self._moves() or time.monotonic() - self._drawn_at >= STILL_S:
             self.redraw()
 
     def mark_old(self, machine_s: float) -> None:
-        """Say so where rows have ceased to come: the machine is at ``machine_s`` (s) already."""
+        """Say so where no rows arrive any more although the machine's time, ``machine_s`` (s), goes
+        on.
+        """
         now = time.monotonic()
         if self.history.count != self._grown[0]:
             self._grown = (self.history.count, now)
@@ -176,19 +179,19 @@ class Scope(Widget, can_focus=True):
             self.redraw()
 
     def _moves(self) -> bool:
-        """Whether the curves would stand elsewhere than in the picture."""
+        """Whether the curves have changed since the picture was drawn."""
         if self.settings.view == "spectrum" or self.settings.mode != "roll":
             return self.settings.mode != "roll"
         return self._rolling.moves(self.history, *self._raster())
 
     def redraw(self) -> None:
-        """Compose the picture anew and ask for a repaint."""
+        """Compose the picture and ask for a repaint."""
         self._strips = []
         self._seen = self.history.count
         self.refresh()
 
     def _raster(self) -> tuple[float, int]:
-        """Width of a dot column of a rolling picture, s, and their number."""
+        """The width of a dot column of a rolling picture, s, and the number of columns."""
         columns = DOTS_X * max(self.size.width - GUTTER, 1)
         return self.settings.window / columns, columns
 
@@ -200,8 +203,8 @@ class Scope(Widget, can_focus=True):
         return self.history.since(self.history.latest - 4.0 * self.settings.window)
 
     def _look(self) -> tuple[tuple[Floats, Floats], tuple[float, float, float]]:
-        """Return the envelope of what is to be seen; the picture's borders and the zero of its
-        labels, s.
+        """The envelope of the visible curves; the limits of the picture and the zero of its labels,
+        s.
         """
         step, columns = self._raster()
         s = self.settings
@@ -215,7 +218,7 @@ class Scope(Widget, can_focus=True):
         return envelope(t, y, start, start + s.window, columns), (start, start + s.window, zero)
 
     def _start(self, t: Floats, y: Floats, step: float) -> tuple[float, float]:
-        """Return the left border of a picture that does not roll, and the zero of its labels, s."""
+        """The left limit of a picture that does not roll, and the zero of its labels, s."""
         s = self.settings
         latest = float(t[-1]) if len(t) else s.window
         if s.mode == "trigger" and len(t) > 1 and y.shape[1]:
@@ -233,7 +236,7 @@ class Scope(Widget, can_focus=True):
         return float(end - s.window), 0.0
 
     def _rows(self) -> tuple[Floats, Floats]:
-        """Rows that the picture was drawn from."""
+        """The rows from which the picture was drawn."""
         if self._drawn is None:
             t, y = self.history.since(self._until - 1.1 * self.settings.window)
             now = t <= self._until
@@ -291,8 +294,8 @@ class Scope(Widget, can_focus=True):
         return plot_lines(curves, axes, size, colours, self._pens[EMPTY])
 
     def seen(self) -> tuple[Floats, Floats]:
-        """Return the rows of the picture that was drawn last, or those between the cursors where
-        they are shown: times, shape (n,), and values, shape (n, channels).
+        """The rows of the picture that was drawn last, or those between the cursors where they are
+        shown: times, shape (n,), and values, shape (n, channels).
         """
         t, y = self._rows()
         s, picture = self.settings, self.picture
@@ -306,13 +309,13 @@ class Scope(Widget, can_focus=True):
         return t[inside], y[inside]
 
     def next_view(self) -> None:
-        """Show the curves over time, over the selected one, or over frequency, by turns."""
+        """Go to the next view: over time, over the selected curve, over frequency."""
         turn = VIEWS[(VIEWS.index(self.settings.view) + 1) % len(VIEWS)]
         self.set(replace(self.settings, view=turn))
 
     def _legend_rows(self, width: int) -> list[list[tuple[str, Style]]]:
-        """Names and newest values in the colours of the curves, on as few rows as they need; the
-        mode at the right.
+        """Names and newest values in the colours of the curves, on as few rows as possible; the
+        mode is at the right.
         """
         if not self._pens:
             self._pens = self._make_pens()
@@ -347,8 +350,8 @@ class Scope(Widget, can_focus=True):
         return rows
 
     def _legend_texts(self) -> list[list[str]]:
-        """Each curve's part of the legend: with value and unit, without the unit (the axis has it),
-        and its name alone.
+        """Three legend texts for each curve: with value and unit, without the unit (the axis has
+        it), and the name alone.
         """
         values = getattr(self, "_values", np.zeros(0))
         found = []
@@ -376,8 +379,8 @@ class Scope(Widget, can_focus=True):
         return styles
 
     def render_lines(self, crop: Region) -> list[Strip]:
-        """Return the picture as it is. Textual would look whether each line has changed, and keep
-        it: of a rolling picture they all have.
+        """The lines of the picture. They are not cached as Textual would: in a rolling picture all
+        of them change.
         """
         strips = [self.render_line(y) for y in crop.line_range]
         for line_filter in self._filters():
@@ -392,7 +395,7 @@ class Scope(Widget, can_focus=True):
         return self._strips[y] if y < len(self._strips) else Strip.blank(self.size.width)
 
     def _filters(self) -> list[LineFilter]:
-        """Those that change anything: the colours of the pens are no numbers of a palette."""
+        """The line filters but that for ANSI colours, which the pens do not use."""
         return [f for f in self.get_line_filters() if not isinstance(f, ANSIToTruecolor)]
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
@@ -401,8 +404,7 @@ class Scope(Widget, can_focus=True):
     # -- mouse
 
     def on_click(self, event: events.Click) -> None:
-        """Left sets cursor A, right (or shift) cursor B; a click on the first row selects the next
-        curve.
+        """Set cursor A (left) or B (right, or with shift); on the first row select the next curve.
         """
         if self.picture is None:
             return
@@ -423,7 +425,7 @@ class Scope(Widget, can_focus=True):
             self.set(replace(self.settings, cursors=True, cursor_a=share, active="a"))
 
     def _ask_scale(self, y: int) -> None:
-        """A click on an axis is about the lane beside it."""
+        """Ask for the scale of the lane beside which an axis was clicked."""
         row = y - len(self._legend_rows(self.size.width))
         for lane in self.picture.lanes if self.picture is not None else ():
             inside = lane.row <= row < lane.row + lane.rows

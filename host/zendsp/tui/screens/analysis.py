@@ -1,5 +1,5 @@
-"""What opens the simulation and the diagnosis of a run; the simulation is a worker process whose
-words appear line by line.
+"""Simulates a run and opens its diagnosis. The simulation is a process of its own, whose output
+appears line by line.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ from zendsp_protocol import written
 
 
 class ProcessView(Dialog[bool]):
-    """Runs a command of zendsp in a process of its own and shows what it says; closing ends it."""
+    """Runs a command of zendsp in a process of its own and shows its output; closing the view ends
+    it.
+    """
 
     DEFAULT_CSS = """
     ProcessView > .box { width: 96%; height: 100%; }
@@ -93,10 +95,10 @@ class ProcessView(Dialog[bool]):
 
 
 class AnalysisActions(LabScreen):
-    """Simulate and diagnose the run that is meant: the newest one, unless a screen knows better."""
+    """Actions that simulate or diagnose a run: the newest one, unless the screen has one marked."""
 
     def meant_run(self) -> Run | None:
-        """Return the run that the user means."""
+        """The run that the user means."""
         runs = list_runs(self.lab.workspace.runs)
         return next((r for r in runs if r.outcome != Outcome.SIMULATED), None)
 
@@ -112,7 +114,7 @@ class AnalysisActions(LabScreen):
         self.lab.diagnose(run)
 
     def action_simulate(self) -> None:
-        """Ask for the model, then simulate the run: its source, its reference."""
+        """Ask for the model, then simulate the run with its source and its reference."""
         run = self.meant_run()
         if run is None:
             self.say("no run to simulate yet: play a reference on Execute first", "warning")
@@ -147,8 +149,8 @@ class AnalysisActions(LabScreen):
         command: Callable[[str], list[str]],
         finish: Callable[[], str] | None = None,
     ) -> None:
-        """Ask for the model file (the last one given, one here named like the machine, or the
-        shipped one) and start the worker.
+        """Ask for the model file, then start the process. Proposed are the file given last, one of
+        this folder that is named like the machine, or the shipped one.
         """
         default = self.lab.model or next(map(str, models_for(run.machine, self.lab.workspace)), "")
         fields = [Field("model", "Model file", default, check=existing, hint="TOML, see docs")]
@@ -170,11 +172,11 @@ class AnalysisActions(LabScreen):
 
 
 def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
-    """Return what makes ``zendsp simulate`` repeat a run, and what keeps the result as a run beside
-    it.
+    """The arguments with which ``zendsp simulate`` repeats a run, and a function that stores the
+    result as another run.
 
-    The same parameters, the same reference, the same channels; what comes before the reference is
-    left out, as in the run.
+    It has the same parameters, reference and channels; the motion before the reference is left out,
+    as in the run.
     """
     taken = run.recording()
     reference = run.folder / "reference.mat"
@@ -222,8 +224,8 @@ def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
 
 
 def models_for(machine: str, workspace: Workspace) -> list[Path]:
-    """Return the model files of a folder and those that come with zendsp: first what fits a machine
-    by its name. What cannot be read comes last, to be told why.
+    """The model files of a folder and those that come with zendsp; those that are named like the
+    machine come first. Files that cannot be read come last, so that the reason can be told.
     """
     patterns = ("*.toml", "models/*.toml", "examples/models/*.toml")
     near = [p for pattern in patterns for p in sorted(workspace.root.glob(pattern))]
@@ -235,7 +237,8 @@ def models_for(machine: str, workspace: Workspace) -> list[Path]:
 
 
 def fits(path: Path, machine: str = "") -> bool:
-    """Whether a file is a model, and where a machine is given, is named like it or names itself so.
+    """Whether a file is a model and, where a machine is given, whether the file or the model in it
+    is named like the machine.
     """
     table = _table(path)
     if table is None or "mechanism" not in table:
@@ -244,7 +247,7 @@ def fits(path: Path, machine: str = "") -> bool:
 
 
 def is_shipped(path: Path) -> bool:
-    """Whether a model is one of those that come with zendsp."""
+    """Whether a model comes with zendsp."""
     try:
         return path.parent == model_folder()
     except FileNotFoundError:
@@ -252,7 +255,7 @@ def is_shipped(path: Path) -> bool:
 
 
 def _table(path: Path) -> dict[str, Any] | None:
-    """What stands in a TOML file; None: it cannot be read."""
+    """The contents of a TOML file; None where it cannot be read."""
     try:
         return written.toml(path.read_text("utf-8"))
     except (OSError, ValueError):
@@ -260,7 +263,7 @@ def _table(path: Path) -> dict[str, Any] | None:
 
 
 def _shipped(machine: str) -> Path | None:
-    """Return the model that comes with zendsp for a machine, if there is one."""
+    """The model that comes with zendsp for a machine, None where there is none."""
     try:
         path = model_folder() / f"{machine}.toml"
     except FileNotFoundError:
@@ -269,7 +272,7 @@ def _shipped(machine: str) -> Path | None:
 
 
 def existing(text: str) -> str:
-    """Check that a text names a file; its full path."""
+    """The full path of the file that a text names."""
     if not text.strip():
         raise ValueError("the path of a file")
     path = Path(text.strip()).expanduser()

@@ -1,5 +1,5 @@
-"""What the four screens share: the status bar above, the footer below, and a look at the snapshot
-at 30 Hz.
+"""What the four screens share: the status bar at the top, the footer, and a look at the newest
+snapshot 30 times a second.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ class LabScreen(Screen[None]):
 
     @property
     def lab(self) -> Lab:
-        """The application, as its screens see it."""
+        """The application, with what screens may ask of it."""
         return cast(Lab, self.app)
 
     @property
     def small(self) -> bool:
-        """Whether curves of several units would lie over one another here."""
+        """Whether the screen is so small that curves of several units would share one lane."""
         return self.size.height < TALL
 
     def compose(self) -> ComposeResult:
@@ -61,7 +61,7 @@ class LabScreen(Screen[None]):
         yield Keys()
 
     def body(self) -> ComposeResult:
-        """Yield what stands between the status bar and the footer."""
+        """Yield the widgets between the status bar and the footer."""
         raise NotImplementedError
 
     def on_mount(self) -> None:
@@ -71,13 +71,13 @@ class LabScreen(Screen[None]):
         self._pull()  # what is shown first is what stays, not an empty screen
 
     def on_screen_resume(self) -> None:
-        """Show what happened meanwhile at once."""
+        """Show at once what has changed meanwhile."""
         if self.is_mounted:
             self._clock.resume()
             self._pull()
 
     def ready(self) -> None:
-        """Do what a screen does once, when its widgets are there."""
+        """What a screen does once, when its widgets exist."""
 
     def _pull(self) -> None:
         # another screen is shown; a dialog over this one is not another screen
@@ -101,8 +101,8 @@ class LabScreen(Screen[None]):
                 scope.tick()
 
     def _keep_live(self, scope: Scope, snapshot: Snapshot) -> None:
-        """Follow again what is shown here, where another screen has followed others meanwhile; and
-        mark what does not go on.
+        """Follow the channels of this scope again where another screen has followed others
+        meanwhile, and mark curves for which no rows arrive.
         """
         if not scope.live or not scope.channels:
             return
@@ -112,13 +112,13 @@ class LabScreen(Screen[None]):
         scope.mark_old(math.inf if gone else snapshot.tick * snapshot.period_s)
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
-        """Show a snapshot; ``fresh`` tells whether its numbers are to be shown: five times a
-        second, and at once where more than numbers changed.
+        """Show a snapshot. ``fresh``: also its numbers, which is five times a second, and at once
+        where more than numbers changed.
         """
 
     def say(self, text: str, level: str = "info") -> None:
-        """Put a line into the event log, and before the user's eyes where it matters: also a good
-        end, where the log is not in sight.
+        """Add a line to the event log. Show a warning or an error as a message too; also good news,
+        where the log is not visible.
         """
         self.lab.session.events.add(text, level)
         unseen = not any(log.is_on_screen for log in self.query(EventsPanel))
@@ -132,8 +132,8 @@ class LabScreen(Screen[None]):
         then: Callable[[T], Any] | None = None,
         by: Callable[[str, Callable[[Port], T]], Future[T]] | None = None,
     ) -> Future[T]:
-        """Run a job against the target, off this thread, by the session's worker unless told; then
-        show its result, or why it failed.
+        """Run a job against the target on another thread, by default that of the session's worker;
+        then call ``then`` with its result, or show why it failed.
         """
 
         def done(future: Future[T]) -> None:
@@ -148,7 +148,7 @@ class LabScreen(Screen[None]):
         return future
 
     def help_text(self) -> Text:
-        """Return every key of this screen and those that work everywhere."""
+        """The keys of this screen and those that work everywhere."""
         c = self.app.theme_variables
         text = Text()
         # of the dialog: its frame, its scroll bar and the columns before the explanation

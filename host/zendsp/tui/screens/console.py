@@ -26,7 +26,7 @@ FIRST_CURVES = ("q", "tau", "e", "u", "aout")  # shown first if the program has 
 
 class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisActions):
     """Scope and events on the left, drives and variables on the right; on a small terminal one
-    above the other.
+    below the other.
     """
 
     NAME: ClassVar[str] = "console"
@@ -72,7 +72,7 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
             self._new_program(plotted)
 
     def _what_first(self, snapshot: Snapshot) -> str:
-        """Say what to do first, where nothing is shown."""
+        """A hint on what to do first, where no curves are shown."""
         if snapshot.link != LinkState.UP:
             return "no target: Ctrl+O chooses one, or starts a simulated machine"
         if snapshot.state != ProgramState.EMPTY:
@@ -82,8 +82,8 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
         return f"no program is loaded: b {what}"
 
     def _new_program(self, plotted: list[str]) -> None:
-        """Keep the curves that the new program still has; begin with the usual ones where there
-        were none.
+        """Keep the curves that the new program still has; show the usual ones where there were
+        none.
         """
         names = [name for name, _, _ in self.element_names()]
         computed = {c.name: sources([c]) for c in self.computed()}
@@ -105,7 +105,7 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
         self.plot_names(keep)
 
     def curve_names(self) -> list[str]:
-        """Variables that the scope draws."""
+        """The variables that the scope draws."""
         return sources(self.scope.channels)
 
     def action_plot(self) -> None:
@@ -121,12 +121,12 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
         self.variables.open_filter()
 
     def on_descendant_focus(self, event: events.DescendantFocus) -> None:
-        """The filter line takes what was typed before it was there."""
+        """Give the filter line the keys that were typed before it was there."""
         if event.widget.id == "filter":
             self.app.call_later(self.lab.hand_over)
 
     def action_events(self) -> None:
-        """Show events in the place of variables on a small terminal."""
+        """Show events in place of the variables on a small terminal."""
         self.toggle_class("-events")
         # what is hidden loses the focus; give it to what is seen, so that the arrows go on working
         self.call_after_refresh(

@@ -1,4 +1,6 @@
-"""Console: the drive sequence, building the program, recording, and what it opens."""
+"""Console: the drive sequence, building and running the program, recording, and the dialogs for
+these.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ from zendsp_protocol.texts import counted
 
 
 def positive(text: str) -> float:
-    """Return a number above zero or refuse."""
+    """The number in a text; it has to be above zero."""
     value = real(text)
     if value <= 0.0:
         raise ValueError(f"{value:g} must be above 0")
@@ -31,7 +33,7 @@ def positive(text: str) -> float:
 
 
 def whole(text: str) -> int:
-    """Return a whole number from 1 or refuse."""
+    """The whole number in a text; it has to be 1 or more."""
     try:
         value = int(text)
     except ValueError:
@@ -42,14 +44,14 @@ def whole(text: str) -> int:
 
 
 def first_words(path: Path) -> str:
-    """What a program that comes with zendsp says of itself first."""
+    """The first sentence of the comment at the head of a shipped program."""
     first = path.read_text("utf-8").partition("*/")[0].split("\n *\n")[0]
     words = " ".join(first.replace("\n *", " ").split()).partition(": ")[2]
     return re.split(r"\.(?= |$)", words)[0]
 
 
 class ProgramActions(LabScreen):
-    """What the keys do to drives and program."""
+    """Actions on drives and program."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -86,7 +88,7 @@ class ProgramActions(LabScreen):
         self.ask("pause", lambda port: port.pause(), by=self.lab.session.do_first)
 
     def action_host_lost(self) -> None:
-        """Choose the policy."""
+        """Choose the host-lost policy."""
         options = [
             Option(HostLost.STOP, "stop", "zero velocity at once, latched as a trip (the default)"),
             Option(
@@ -140,7 +142,9 @@ class ProgramActions(LabScreen):
         self.action_build()
 
     def action_build(self) -> None:
-        """Compile and download; where the machine moves, ask first: it ends what runs."""
+        """Compile and load. Where the machine moves, ask first, since loading ends the running
+        program.
+        """
         path = self.lab.source
         if path is None:
             self._choose_source(self._take_and_build)
@@ -192,7 +196,7 @@ class ProgramActions(LabScreen):
             )
 
     def built(self) -> None:
-        """Do what follows a successful build."""
+        """Called after a successful build."""
 
     def action_source(self) -> None:
         """Show the source."""
@@ -206,11 +210,11 @@ class ProgramActions(LabScreen):
     # -- recording
 
     def curve_names(self) -> list[str]:
-        """Return the names of the curves on the scope."""
+        """The names of the curves on the scope."""
         return []
 
     def action_record(self) -> None:
-        """Record the curves for some seconds, or end that."""
+        """Record the curves for some seconds, or end a recording."""
         if self._recording is not None and not self._recording.done():
             self.ask("record", lambda port: port.end_acquisition())
             return

@@ -1,4 +1,4 @@
-"""Console: what its keys do to the scope."""
+"""Console: the keys of the scope."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from zendsp_protocol.texts import counted, number_hint, units_of
 
 
 def real(text: str) -> float:
-    """Return a finite number or refuse."""
+    """The finite number in a text."""
     try:
         value = float(text)
     except ValueError:
@@ -30,7 +30,7 @@ def real(text: str) -> float:
 
 
 def percent(text: str) -> float:
-    """Return a share from per cent, 0 … 100."""
+    """The fraction that a text gives in per cent, 0 … 100."""
     value = real(text)
     if not 0.0 <= value <= 100.0:
         raise ValueError(f"{value:g} is outside 0 … 100")
@@ -38,7 +38,7 @@ def percent(text: str) -> float:
 
 
 class ScopeActions(LabScreen):
-    """Channels, modes, cursors, time."""
+    """Actions on channels, modes, cursors and time."""
 
     @property
     def scope(self) -> Scope:
@@ -46,7 +46,7 @@ class ScopeActions(LabScreen):
         return self.query_one("#scope", Scope)
 
     def element_names(self) -> list[tuple[str, str, str]]:
-        """Return every curve there could be: name, unit, description."""
+        """Every possible curve: name, unit, description."""
         found = []
         for v in self.lab.session.snapshot.variables:
             if v.kind == VariableKind.TABLE:
@@ -61,14 +61,14 @@ class ScopeActions(LabScreen):
         return found
 
     def plot_names(self, names: Sequence[str]) -> None:
-        """Show these curves, at most eight; those that the program lacks are left out."""
+        """Show these curves, at most eight; names that the program lacks are left out."""
         units = {name: unit for name, unit, _ in self.element_names()}
         computed = {c.name: c for c in self.scope.channels if c.formula}
         self.plot_channels([computed.get(n) or Channel(n, units.get(n, "")) for n in names])
 
     def plot_channels(self, channels: Sequence[Channel]) -> list[str]:
-        """Show these curves; returns those that the program lacks, which are left out. Curves that
-        were shown before keep their past.
+        """Show these curves and return those that the program lacks. Curves that were shown before
+        keep their rows.
         """
         known = {name for name, _, _ in self.element_names()}
         shown = [c for c in channels if known.issuperset(sources([c]))][:MOST_CHANNELS]
@@ -96,11 +96,11 @@ class ScopeActions(LabScreen):
         )
 
     def computed(self) -> list[Channel]:
-        """Return the curves that are computed."""
+        """The curves that are computed."""
         return [c for c in self.scope.channels if c.formula]
 
     def toggle_plot(self, name: str) -> None:
-        """Add a variable (all its elements) to the scope, or take it away."""
+        """Add a variable with all its elements to the scope, or remove it."""
         mine = [n for n, _, _ in self.element_names() if n == name or n.startswith(f"{name}[")]
         have = [c.name for c in self.scope.channels]
         if any(n in have for n in mine):
@@ -121,7 +121,7 @@ class ScopeActions(LabScreen):
             self.plot_names([*have, *mine])
 
     def action_mode(self) -> None:
-        """Roll or trigger."""
+        """Switch between roll and trigger mode."""
         s = self.scope.settings
         self.scope.single = False
         self.scope.set(replace(s, mode="trigger" if s.mode == "roll" else "roll"))
@@ -129,7 +129,7 @@ class ScopeActions(LabScreen):
             self.scope.pause(False)
 
     def action_trigger(self) -> None:
-        """Ask for the trigger."""
+        """Ask for the trigger's source, level and edge."""
         names = [c.name for c in self.scope.channels]
         if not names:
             self.say("choose curves first (c): the trigger watches one of them", "warning")
@@ -163,17 +163,17 @@ class ScopeActions(LabScreen):
         self.scope.arm_single()
 
     def action_freeze(self) -> None:
-        """Freeze or let live."""
+        """Freeze the picture, or let it run again."""
         self.scope.pause(not self.scope.paused)
 
     def action_autoscale(self) -> None:
-        """Fit the axes; a second time keeps them fixed."""
+        """Fit the axes; pressed again, keep them fixed."""
         s = self.scope.settings
         self.scope.set(replace(s, auto=not s.auto))
         self.scope.autoscale()
 
     def action_lanes(self) -> None:
-        """A lane for each unit, for each curve, or none."""
+        """Switch between a lane for each unit, a lane for each curve, and one for all."""
         s = self.scope.settings
         s = replace(s, lanes=LANES[(LANES.index(s.lanes) + 1) % len(LANES)])
         self.scope.set(s)
@@ -216,8 +216,8 @@ class ScopeActions(LabScreen):
         self.scope.pan(share)
 
     def on_key(self, event: events.Key) -> None:
-        """Arrows, while the scope has the focus: cursors if they are shown, else history and
-        trigger level.
+        """Arrow keys while the scope has the focus: they move the cursors if these are shown, else
+        through the history, or the trigger level.
         """
         scope = self.scope
         if not scope.has_focus or event.key not in ("left", "right", "up", "down"):

@@ -1,4 +1,5 @@
-"""Console: edit at once, or stage – review – update in one sample; undo; parameter sets."""
+"""Console: edit variables at once, or stage, review and update in one sample; undo; parameter sets.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ UNDO_DEPTH = 100
 
 
 class VariableActions(LabScreen):
-    """What the keys do to variables."""
+    """Actions on variables."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -74,7 +75,7 @@ class VariableActions(LabScreen):
             self._ask_value(v, "Write now", self._write)
 
     def action_stage(self) -> None:
-        """Put a new value aside."""
+        """Stage a new value of the marked variable."""
         v = self._marked()
         if v is not None:
             self._ask_value(v, "Stage", self._stage)
@@ -149,7 +150,7 @@ class VariableActions(LabScreen):
         )
 
     def review(self, values: Mapping[str, Assignable]) -> Text:
-        """Return old → new for each value, with units."""
+        """Old → new of each value, with units."""
         now = self.lab.session.snapshot.values
         width = max((len(n) for n in values), default=0)
         c = self.app.theme_variables
@@ -164,7 +165,7 @@ class VariableActions(LabScreen):
         return text
 
     def action_update(self) -> None:
-        """Review, then apply all in one sample."""
+        """Review the staged values, then apply all in one sample."""
         if not self.staged:
             self.say(
                 "nothing is staged: t stages the marked variable, w a parameter set", "warning"
@@ -199,7 +200,7 @@ class VariableActions(LabScreen):
         self.ask("update", lambda port: port.update(values), done)
 
     def action_undo(self) -> None:
-        """Take back: staged values first, then the last change on the target."""
+        """Undo: first what is staged, then the last change on the target."""
         if self.staged:
             name, _ = self.staged.popitem()
             self._pulled = None
@@ -212,7 +213,7 @@ class VariableActions(LabScreen):
     # -- sliders
 
     def action_sliders(self) -> None:
-        """Move parameters by sliders."""
+        """Show sliders for parameters."""
         s = self.lab.session.snapshot
         found = [v for v in s.variables if slides(v) and v.name in s.values]
         if not found:
@@ -234,7 +235,7 @@ class VariableActions(LabScreen):
     # -- parameter sets
 
     def action_sets(self) -> None:
-        """Save, compare and load."""
+        """Save, compare and load parameter sets."""
         folder = self.lab.workspace.sets
         files = sorted(folder.glob("*.json"), key=lambda p: p.stat().st_mtime, reverse=True)
         options = [Option("", "＋ save the present values …")]
@@ -283,7 +284,7 @@ class VariableActions(LabScreen):
         self.say(f"{len(values)} values saved in {path}", "good")
 
     def _side_by_side(self, paths: list[Path]) -> None:
-        """Show where some sets and the target differ from one another."""
+        """Show the differences between some sets and the target."""
         try:
             stored = {path.stem: ParameterSet.load(path).values for path in paths}
         except ZendspError as error:

@@ -1,4 +1,4 @@
-"""Console: what the scope computes, how it looks at it, and what is kept of that."""
+"""Console: computed curves, the views of the scope, export and layouts."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from zendsp_protocol.texts import counted
 
 
 def real_or_none(text: str) -> float | None:
-    """Return a finite number, None for an empty text, or refuse."""
+    """The finite number in a text, None for an empty one."""
     return real(text) if text.strip() else None
 
 
 class ViewActions(ScopeActions):
-    """Views, formulas, scales, files, layouts."""
+    """Actions on views, formulas, scales, files, layouts."""
 
     def action_view(self) -> None:
-        """Over time, over the selected curve, over frequency."""
+        """Go to the next view: over time, over the selected curve, over frequency."""
         self.scope.next_view()
 
     def action_formula(self) -> None:
-        """Ask for a curve that is computed."""
+        """Ask for the formula of a computed curve."""
         units = {name: unit for name, unit, _ in self.element_names()}
         if not units:
             self.say("no signals yet: build a program first (b)", "warning")
@@ -57,7 +57,7 @@ class ViewActions(ScopeActions):
         self.app.push_screen(Form("A computed curve", fields, text), take)
 
     def _take_formula(self, formula: Formula | None, old: Channel | None) -> None:
-        """Show a computed curve in the place of another, or at the end; or take one away."""
+        """Show a computed curve in place of another, or as the last; or remove one."""
         channels = list(self.scope.channels)
         if formula is None:
             self.plot_channels([c for c in channels if c != old])
@@ -106,7 +106,7 @@ class ViewActions(ScopeActions):
         self.app.push_screen(Form(f"Scale of {channel.name}", fields, text), take)
 
     def action_export(self) -> None:
-        """Write what is seen."""
+        """Write the visible rows to a file."""
         if not self.scope.channels:
             self.say("choose curves first (c)", "warning")
             return
@@ -132,7 +132,7 @@ class ViewActions(ScopeActions):
         self.app.call_from_thread(self.say, said, level)
 
     def action_layouts(self) -> None:
-        """Save or open an arrangement of the scope."""
+        """Save or open a layout of the scope."""
         folder = layouts_folder()
         options = [Option("", "save this one …", counted(len(self.scope.channels), "curve"))]
         options += [Option(str(p), p.stem, "") for p in sorted(folder.glob("*.json"))]

@@ -1,4 +1,4 @@
-"""Diagnose: which physics does the model leave out of what was recorded? And what comes of it."""
+"""Diagnose: which physics does the model lack that the recordings show, and what to do about it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ NO_RECORDING = (
 
 
 class DiagnoseScreen(LoopActions):
-    """What is given on the left, what was found on the right."""
+    """Recordings and model on the left, findings on the right."""
 
     NAME: ClassVar[str] = "diagnose"
     BINDINGS = bindings("diagnose")
@@ -117,15 +117,15 @@ class DiagnoseScreen(LoopActions):
 
     @on(events.ScreenResume)
     def _look_again(self) -> None:
-        """A run has perhaps been made meanwhile."""
+        """Read the list of runs again, since one may have been made meanwhile."""
         if self.is_mounted:
             self.fill()
 
     # -- what is given
 
     def fill(self) -> None:
-        """List the recordings; the last motion is marked where nothing is: a frequency response,
-        small and about one place, says less.
+        """List the recordings. Where none is marked, mark the last motion; not a frequency
+        response, which is a small motion about one place and shows less.
         """
         found = [r for r in list_runs(self.lab.workspace.runs) if r.outcome != Outcome.SIMULATED]
         self.runs = found
@@ -160,14 +160,14 @@ class DiagnoseScreen(LoopActions):
         table.add_row(mark, *(Text(cell) for cell in cells), key=path)
 
     def _machine(self) -> str:
-        """Of what is marked, else of the newest run."""
+        """The machine of the marked recordings, else of the newest run."""
         used = (r for r in self.runs if self.roles.get(str(r.folder / DATA)))
         run = next(used, self.runs[0] if self.runs else None)
         return run.machine if run is not None else self.lab.session.snapshot.machine
 
     def _meant(self) -> str:
-        """The model as it was chosen, or remembered; where nobody chose one for the machine of
-        what is marked, the one of that machine.
+        """The model that was chosen, also earlier; where none was chosen for the machine of the
+        marked recordings, the model of that machine.
         """
         kept, machine = self.model or self.lab.model, self._machine()
         first = next(iter(self._models()), None)
@@ -181,7 +181,7 @@ class DiagnoseScreen(LoopActions):
         return models_for(self._machine(), self.lab.workspace)
 
     def chosen(self, role: str) -> list[str]:
-        """Return the recordings of one use."""
+        """The recordings with this use."""
         return [path for path, use in self.roles.items() if use == role]
 
     def take_run(self, run: Run, *, beside: Sequence[str] = ()) -> None:
@@ -213,7 +213,7 @@ class DiagnoseScreen(LoopActions):
         self.fill()
 
     def action_add(self) -> None:
-        """Choose files of recordings: of this folder and those below, or by a path."""
+        """Choose files of recordings, from this folder and those below it, or by a path."""
         fields = [Field("path", "Recording", "", check=existing, hint="MAT, CSV, NPZ, Parquet …")]
         text = "Recorded by zendsp or anybody else; the model file names the columns."
         form = Form("Add a recording", fields, text, "Add")
@@ -263,7 +263,7 @@ class DiagnoseScreen(LoopActions):
 
     @property
     def busy(self) -> bool:
-        """Whether one runs."""
+        """Whether a diagnosis runs."""
         return self.command is not None
 
     def action_start(self) -> None:
@@ -296,8 +296,8 @@ class DiagnoseScreen(LoopActions):
             self.run_worker(self._diagnose(self.command, coming, folder), group="diagnosis")
 
     def begin_model(self) -> None:
-        """Write a model file from the first recording of the fit; diagnose where nothing in it is
-        left open.
+        """Write a model file from the first recording of the fit; start the diagnosis where nothing
+        in the file is left open.
         """
         fit = self.chosen("fit")
         if self.busy or not fit:
@@ -362,7 +362,7 @@ class DiagnoseScreen(LoopActions):
                 self._paint(0.0)
 
     def action_cancel(self) -> None:
-        """End the diagnosis that runs with what it has found so far; asked again, at once."""
+        """End the running diagnosis with what it has found so far; pressed again, at once."""
         if self.command is None:
             return
         if self.coming is None or self._cancelled:
@@ -387,8 +387,8 @@ class DiagnoseScreen(LoopActions):
         self._detail("words-box")
 
     def open(self, d: Diagnosed) -> None:
-        """Show a diagnosis. Its report is perhaps still being drawn: opened again then, the line
-        that is marked stays.
+        """Show a diagnosis. If its report is still being drawn, it is opened again later, and the
+        marked line stays marked.
         """
         lines = self.query_one("#findings", OptionList)
         same = self.shown is not None and self.shown.created == d.created
@@ -436,12 +436,12 @@ class DiagnoseScreen(LoopActions):
         self.action_start()
 
     def action_compare(self) -> None:
-        """Show what sets this diagnosis apart from another."""
+        """Show the differences between this diagnosis and another."""
         if self._need() is not None:
             self._choose_diagnosis("Compare with", self.compare_with, but=self.shown)
 
     def action_earlier(self) -> None:
-        """Open an earlier diagnosis, and go on with its model."""
+        """Open an earlier diagnosis and its model."""
 
         def then(d: Diagnosed) -> None:
             self.open(d)
@@ -470,7 +470,7 @@ class DiagnoseScreen(LoopActions):
     # -- the screen
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
-        """Show what goes on."""
+        """Show the progress of a running diagnosis."""
         seconds = time.monotonic() - self._began if self.busy else 0.0
         key = (int(4 * seconds), self.busy, len(self.said), self.model, self.app.theme, self.size)
         if key != self._painted:

@@ -1,4 +1,4 @@
-"""Diagnose: what comes of a finding: the report, compensation in the running program, the next
+"""Diagnose: what follows a finding: the report, the compensation in the running program, the next
 motion, the improved model, a comparison.
 """
 
@@ -50,7 +50,7 @@ ERRORS = ("e", "err", "error")
 
 
 class Standing(StrEnum):
-    """How a program stands to the compensation of what was found."""
+    """Whether a program can take the compensation of a diagnosis, and whether it acts."""
 
     NOTHING = "nothing"  # there is none: no torque can cancel it
     NO_PROGRAM = "no program"
@@ -61,7 +61,7 @@ class Standing(StrEnum):
 
 
 class LoopActions(LabScreen):
-    """What the keys do with a diagnosis."""
+    """Actions on a diagnosis."""
 
     shown: Diagnosed | None
 
@@ -87,7 +87,7 @@ class LoopActions(LabScreen):
     # -- compensation in the running program
 
     def loop_entry(self, d: Diagnosed) -> Entry:
-        """Return the line about the compensation of a diagnosis."""
+        """The line on the compensation of a diagnosis."""
         try:
             self.compensation = compensation_of(d)
         except (ZendspError, OSError):
@@ -101,7 +101,7 @@ class LoopActions(LabScreen):
         return text
 
     def _standing(self, s: Snapshot) -> tuple[Standing, str]:
-        """How the running program stands to what was found, and in words."""
+        """The `Standing` of the running program, and a sentence on it."""
         c = self.compensation
         names = [v.name for v in s.variables]
         if self._acts(s) and (c is None or not c.fits(names) or not c.acts(s.values)):
@@ -120,11 +120,11 @@ class LoopActions(LabScreen):
 
     @staticmethod
     def _acts(s: Snapshot) -> bool:
-        """Whether the program adds a compensation now, of whichever diagnosis."""
+        """Whether the program adds a compensation now, of this or another diagnosis."""
         return s.link == LinkState.UP and float(s.values.get(SHARE, 0.0)) > 0.0
 
     def look_at_loop(self, s: Snapshot) -> None:
-        """Keep the line about the compensation and its figures true."""
+        """Bring the line on the compensation and its figures up to date."""
         state, _ = self._standing(s)
         if state != self._state:
             self._state = state
@@ -149,8 +149,8 @@ class LoopActions(LabScreen):
         return f"compensation {state}: rms over {self._look_s():g} s  {rms}"  # 80 columns
 
     def _look_s(self) -> float:
-        """The time over which the tracking error is measured: one turn of the program's circle, or
-        periods of its sway.
+        """The time over which the tracking error is measured, s: one turn of the program's circle,
+        or periods of its sway.
         """
         return look_s(self.lab.session.snapshot.values)
 
@@ -208,7 +208,7 @@ class LoopActions(LabScreen):
             self._fade_in()
 
     def _fade_in(self) -> None:
-        """Measure the tracking error without it, then fade it in."""
+        """Measure the tracking error without the compensation, then fade it in."""
         self._show_loop()
         self.follow_loop()
 
@@ -241,7 +241,9 @@ class LoopActions(LabScreen):
         self.ask("compensation", lambda port: port.update(values), said)
 
     def _offer_room(self, c: Compensation) -> None:
-        """Offer it to the chosen source, else to the loaded program as the target knows it."""
+        """Offer to add the call of the compensation to the chosen source, else to the source of the
+        loaded program.
+        """
         source = self.lab.source
         if source is None:
             self.lab.expect_dialog()
@@ -299,7 +301,8 @@ class LoopActions(LabScreen):
         )
 
     def _place(self, source: Path) -> Path:
-        """Where the program stands that takes the compensation: a shipped one becomes a copy here.
+        """The path of the program that is to take the compensation; a shipped program is copied
+        here first.
         """
         shipped = source.parent in {p.parent for p in self.lab.examples()}
         return self.lab.workspace.root / source.name if shipped else source
@@ -358,7 +361,7 @@ class LoopActions(LabScreen):
         self.app.call_from_thread(self.app.push_screen, Message("Report", Text(words)))
 
     def action_save(self) -> None:
-        """Ask where the improved model goes."""
+        """Ask where to save the improved model."""
         d = self._need()
         if d is None:
             return
@@ -381,7 +384,7 @@ class LoopActions(LabScreen):
         self.app.push_screen(form, write)
 
     def compare_with(self, other: Diagnosed) -> None:
-        """Show what sets the shown diagnosis apart from another."""
+        """Show the differences between the shown diagnosis and another."""
         if self.shown is not None:
             try:
                 text = compare(other, self.shown)
@@ -419,8 +422,8 @@ class LoopActions(LabScreen):
 
 
 def look_s(values: Mapping[str, Value]) -> float:
-    """Seconds over which the tracking error of a program with these values is compared: one turn,
-    as many periods of a sway as the picture holds, or LOOK_S.
+    """The time over which the tracking error of a program with these values is compared, s: one
+    turn, as many periods of a sway as fit into the picture, or LOOK_S.
     """
     number = {name: x for name, x in values.items() if isinstance(x, int | float)}
     turn = 0.0 if values.get("use_table") else number.get(TURN, 0.0)
@@ -431,8 +434,8 @@ def look_s(values: Mapping[str, Value]) -> float:
 
 
 def graphical() -> bool:
-    """Return whether a browser would open a window of its own: one in this terminal would take the
-    screen.
+    """Whether a browser would open a window of its own; a text browser would take over this
+    terminal.
     """
     try:
         browser = webbrowser.get()

@@ -1,4 +1,4 @@
-"""Execute: play planned references, keep each run with everything needed to repeat it, compare
+"""Execute: plays planned references, stores each run with everything needed to repeat it, compares
 runs.
 """
 
@@ -170,7 +170,7 @@ class ExecuteScreen(MeasureActions):
         )
 
     def _load(self) -> None:
-        """Read the chosen references and preview them over the limits."""
+        """Read the chosen references and show them with the limits."""
         found = []
         for path in self.files:
             try:
@@ -201,13 +201,13 @@ class ExecuteScreen(MeasureActions):
         scope.redraw()
 
     def _what_next(self) -> str:
-        """Say what to do next, where nothing is shown."""
+        """A hint on what to do next, where no curves are shown."""
         looks = "space shows the marked run" if self.runs else ""
         planned = "o chooses a planned reference" if self.lab.workspace.saved_references() else ""
         return "; ".join(x for x in (planned or "plan a motion on Reference (F4)", looks) if x)
 
     def look(self, snapshot: Snapshot) -> list[Condition]:
-        """Every condition of Start, now."""
+        """The present conditions of Start."""
         busy = self.job is not None and self.job.busy
         return preflight(
             snapshot, self.references, self.files, self.setup, busy, self.trial,
@@ -218,7 +218,7 @@ class ExecuteScreen(MeasureActions):
 
     @on(Button.Pressed, "#run-start")
     def action_start(self) -> None:
-        """Start, if every condition is met."""
+        """Start, if every condition holds."""
         snapshot = self.lab.session.snapshot
         self.conditions = self.look(snapshot)
         unmet = [x for x in self.conditions if not x.met]
@@ -260,7 +260,7 @@ class ExecuteScreen(MeasureActions):
 
     @on(DataTable.RowHighlighted, "#runs")
     def _tell_outcome(self) -> None:
-        """Say in full what has no room in the list."""
+        """Show the outcome of the marked run in full, for which the list has no room."""
         run, shown = self.this_run(), self.query_one("#progress", Static)
         if run is not None and self.job is None:
             words = f"{run.name}: {run.ending}"
@@ -343,7 +343,7 @@ class ExecuteScreen(MeasureActions):
             self.app.push_screen(form, lambda r: self._chosen([r["path"]]) if r else None)
 
     def action_cyclic(self) -> None:
-        """Ask how often."""
+        """Ask how many times to play."""
         if self.setup.cycles > 1:
             self.setup = replace(self.setup, cycles=1)
             return
@@ -368,7 +368,7 @@ class ExecuteScreen(MeasureActions):
         )
 
     def action_settings(self) -> None:
-        """Ask for everything else."""
+        """Ask for the other settings of a run."""
         s = self.setup
         sources = [
             "none",

@@ -42,7 +42,7 @@ SWEEP = (
 
 
 class MeasureActions(RunActions):
-    """What measures the machine by itself, and what it found."""
+    """Actions that measure the machine, and their results."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ class MeasureActions(RunActions):
 
     @on(Button.Pressed, "#run-bode")
     def action_respond(self) -> None:
-        """Ask which joint swings and how."""
+        """Ask for the joint and the motion of a frequency response."""
         snapshot = self._ready_to_measure()
         if snapshot is None:
             return
@@ -100,7 +100,7 @@ class MeasureActions(RunActions):
         )
 
     def show_responses(self, runs: Sequence[Run]) -> None:
-        """Draw the responses of these runs over one another."""
+        """Draw the frequency responses of these runs in one plot."""
         from zendsp.experiment.response import FrequencyResponse
 
         found = []
@@ -120,7 +120,7 @@ class MeasureActions(RunActions):
 
     @on(Button.Pressed, "#run-sweep-button")
     def action_sweep(self) -> None:
-        """Ask for the parameters and their values."""
+        """Ask for the parameters of a sweep and their values."""
         snapshot = self._ready_to_measure()
         if snapshot is None:
             return
@@ -171,7 +171,7 @@ class MeasureActions(RunActions):
 
     @on(DataTable.RowSelected, "#sweep")
     def _use_row(self, event: DataTable.RowSelected) -> None:
-        """Lead the program over to the values of a row."""
+        """Fade the program to the values of a row."""
         from zendsp.experiment.sweep_result import short
 
         values = self.query_one(SweepView).values(event.cursor_row)
@@ -184,7 +184,7 @@ class MeasureActions(RunActions):
     # -- both
 
     def _ready_to_measure(self) -> Snapshot | None:
-        """What is there, or a word on what is missing."""
+        """The snapshot; None after saying why nothing can be measured now."""
         snapshot = self.lab.session.snapshot
         if self.job is not None and self.job.busy:
             self.say("a run is in progress: abort it with b", "warning")
@@ -202,7 +202,7 @@ class MeasureActions(RunActions):
         job.start()
 
     def measured(self, job: MeasureJob) -> None:
-        """Show what a measurement found."""
+        """Show the result of a measurement."""
         error = job.result.exception()
         found = job.result.result() if error is None else job.left
         if error is not None:
@@ -225,12 +225,12 @@ class MeasureActions(RunActions):
             self.say(f"{repr(swept)[1:-1]}; {path}", "info" if error else "good")
 
     def show_only(self, widget: str) -> None:
-        """Show one of what the right side can show."""
+        """Show one of the widgets of the right side."""
         for child in self.query_one("#show").children:
             child.display = f"#{child.id}" == widget
 
     def follow_live(self, snapshot: Snapshot) -> None:
-        """Follow the run's channels live; the screen knows how."""
+        """Follow the run's channels live; the screen overrides this."""
         raise NotImplementedError
 
 
@@ -239,7 +239,7 @@ def _or_usual(text: str) -> float | None:
 
 
 def _usual(s: Snapshot, swings: Sequence[Quantity]) -> str:
-    """Say how far the first joint swings where nothing is typed."""
+    """The amplitude by which the first joint swings where none is typed, as text."""
     from zendsp.experiment.frequency import usual_amplitude
 
     if s.described is None or s.limits is None:
@@ -274,7 +274,7 @@ def _from_zero(text: str) -> float:
 
 
 def _example(parameters: Sequence[Variable]) -> str:
-    """Return values of the first gain that the program has, half to twice as much."""
+    """Values for the first gain of the program, from half of it to twice as much."""
     numbers = [v for v in parameters if v.length == 1 and v.type == "double" and v.initial]
     gains = [v for v in numbers if v.name[:1] in "kK"]
     if not gains:

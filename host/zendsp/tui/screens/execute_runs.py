@@ -28,7 +28,7 @@ NAME = 20  # characters of a run's name in the list
 
 
 class RunActions(AnalysisActions):
-    """What the keys do to stored runs."""
+    """Actions on stored runs."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -37,19 +37,20 @@ class RunActions(AnalysisActions):
 
     @property
     def runs_table(self) -> DataTable[Text]:
-        """The list."""
+        """The list of runs."""
         return self.query_one("#runs", DataTable)
 
     @on(events.ScreenResume)
     def _look_again(self) -> None:
-        """A recording on Console, or a simulation in a dialog, has perhaps left a run."""
+        """Read the list again, since a recording on Console or a simulation may have added a run.
+        """
         if self.is_mounted and [r.folder for r in list_runs(self.lab.workspace.runs)] != [
             r.folder for r in self.runs
         ]:
             self.fill_runs()
 
     def fill_runs(self, mark: Path | None = None) -> None:
-        """Read the list from disk; ``mark`` is put under the cursor."""
+        """Read the list from disk and put the cursor on the run ``mark``."""
         table = self.runs_table
         at = mark or (self.this_run().folder if self.this_run() else None)  # type: ignore[union-attr]
         table.clear(columns=True)
@@ -76,7 +77,7 @@ class RunActions(AnalysisActions):
         table.border_subtitle = counted(len(self.runs), "run")
 
     def this_run(self) -> Run | None:
-        """Return the run under the cursor."""
+        """The run under the cursor."""
         try:
             key = str(
                 self.runs_table.coordinate_to_cell_key(
@@ -88,7 +89,7 @@ class RunActions(AnalysisActions):
         return next((run for run in self.runs if str(run.folder) == key), None)
 
     def meant_run(self) -> Run | None:
-        """The run that is marked in the list; the newest one where none is."""
+        """The marked run, else the newest."""
         return self.this_run() or super().meant_run()
 
     def _need_run(self) -> Run | None:
@@ -102,7 +103,7 @@ class RunActions(AnalysisActions):
         self.action_overlay()
 
     def action_overlay(self) -> None:
-        """Lay the marked run over the others, or take it away."""
+        """Add the marked run to the overlaid ones, or remove it."""
         run = self._need_run()
         if run is None:
             return
@@ -117,16 +118,16 @@ class RunActions(AnalysisActions):
         self.preview()
 
     def preview(self) -> None:
-        """Show what is to be seen; the screen knows."""
+        """Show references or runs; the screen overrides this."""
         raise NotImplementedError
 
     def show_responses(self, runs: Sequence[Run]) -> None:
-        """Draw frequency responses; the screen knows how."""
+        """Draw frequency responses; the screen overrides this."""
         raise NotImplementedError
 
     def show_overlay(self, scope: Scope) -> None:
-        """Show the overlaid runs that are of the kind of the last one: frequency responses, or up
-        to two error (or position) curves of each on one time axis, those that err most.
+        """Show those overlaid runs that are of the same kind as the last one: frequency responses;
+        or curves on one time axis, of each run up to two errors (or positions), the largest.
         """
         marked = [r for folder in self.marked_runs for r in self.runs if r.folder == folder]
         responses = [run for run in marked if run.outcome == Outcome.RESPONSE]
@@ -161,7 +162,7 @@ class RunActions(AnalysisActions):
         scope.show_channels(channels, history)
 
     def action_compare(self) -> None:
-        """Show what sets the overlaid runs apart."""
+        """Show the differences between the overlaid runs."""
         chosen = [r for folder in self.marked_runs for r in self.runs if r.folder == folder]
         if len(chosen) < 2:
             self.say("overlay at least two runs first (space)", "warning")
@@ -185,7 +186,7 @@ class RunActions(AnalysisActions):
         self.fill_runs(run.folder)
 
     def action_export(self) -> None:
-        """Ask for the format and write."""
+        """Ask for the format and write the run."""
         run = self._need_run()
         if run is None:
             return
@@ -232,13 +233,13 @@ class RunActions(AnalysisActions):
 
 
 def shorten(name: str) -> str:
-    """Return a name as the list has room for it, its end included: that tells it from others."""
+    """A name cut to the width of the list. Its end is kept, since it tells the name from others."""
     half = NAME // 2
     return name if len(name) <= NAME else f"{name[:half]}…{name[1 - half :]}"
 
 
 def signals_to_show(columns: tuple[str, ...]) -> list[str]:
-    """Return the columns worth laying over one another: errors, else positions, else the first."""
+    """The columns to overlay: errors, else positions, else the first."""
     for stem in ("e", "q"):
         found = [c for c in columns if c.split("[")[0].rstrip("0123456789") == stem]
         if found:

@@ -1,5 +1,5 @@
-"""Reference: plans a motion, shows it over the limits of the machine, saves the MAT that Execute
-plays. Needs no target.
+"""Reference: plans a motion, shows it with the limits of the machine, and saves the MAT file that
+Execute plays. It needs no target.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ NEAR = 0.9  # of a limit: more is shown as a warning
 
 @dataclass(frozen=True)
 class Plan:
-    """One planned motion with its check."""
+    """One planned motion with its check against the limits."""
 
     machine: Machine
     reference: Reference
@@ -64,7 +64,7 @@ class ReferenceScreen(ReferenceForm):
     # -- planning
 
     def plan_now(self) -> None:
-        """Plan on a thread: an optimal swing takes seconds."""
+        """Plan on a thread, since an optimal swing takes seconds."""
         wanted = self._wanted()
         try:
             values = self.values()
@@ -86,7 +86,9 @@ class ReferenceScreen(ReferenceForm):
         self.run_worker(work, thread=True, exclusive=True, group="plan")
 
     def _settle(self, wanted: Wanted, found: Plan | str) -> None:
-        """Show the plan that was asked for, or why there is none; save it if that was asked for."""
+        """Show the plan that was asked for, or why there is none; save it if that was asked for
+        too.
+        """
         if wanted != self._wanted():
             return  # the user has gone on meanwhile: another plan is on its way
         self._planned = wanted
@@ -133,7 +135,7 @@ class ReferenceScreen(ReferenceForm):
         self.refresh_plan()
 
     def refresh_plan(self) -> None:
-        """Show the present plan again, after a change of view or size."""
+        """Draw the present plan again after a change of view or size."""
         if self.plan is not None:
             self._show_plan(self.plan)
 
@@ -195,7 +197,7 @@ class ReferenceScreen(ReferenceForm):
 
     @on(Button.Pressed, "#to-execute")
     def action_execute(self) -> None:
-        """Open on Execute; save first what is not saved yet."""
+        """Open the plan on Execute; an unsaved one is saved first."""
         wanted, path = self._saved or (None, Path())
         if wanted == self._wanted() and path.is_file():
             self.lab.play(path)
@@ -231,7 +233,7 @@ class ReferenceScreen(ReferenceForm):
         return f"{self.machine.name}-{self.query_one('#kind', Select).value}"
 
     def _savable(self) -> Plan | None:
-        """Return the plan, or say why there is none to save."""
+        """The plan; None after saying why there is none to save."""
         if self.plan is None or self.plan.violations:
             self.say(
                 "nothing to save: the motion is not planned, or it breaks a limit (see below the"
@@ -242,7 +244,7 @@ class ReferenceScreen(ReferenceForm):
         return self.plan
 
     def _write(self, name: str, then: str | None) -> None:
-        """Save the plan of the form as it stands."""
+        """Save the plan that the form describes."""
         plan = self._savable()
         if plan is None:
             return
@@ -272,7 +274,7 @@ class ReferenceScreen(ReferenceForm):
         )
 
     def open_reference(self, path: Path) -> None:
-        """Show a saved reference, and its parameters in the form where they are known."""
+        """Show a saved reference, with its parameters in the form where they are known."""
         try:
             reference = load_reference(path)
             machine = self._machine_of(reference)
@@ -308,6 +310,6 @@ class ReferenceScreen(ReferenceForm):
 
 
 def make_plan(machine: Machine, reference: Reference) -> Plan:
-    """A motion with its torque and its check."""
+    """The motion with its torque and its check against the limits."""
     violations = tuple(machine.find_violations(reference))
     return Plan(machine, reference, machine.torque(reference), violations)

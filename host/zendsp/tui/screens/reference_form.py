@@ -1,4 +1,4 @@
-"""Reference: the form, which says what machine, what motion and what numbers are wanted."""
+"""Reference: the form with machine, kind of motion and parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Wanted = tuple[Machine, str, tuple[Any, ...]]  # machine, kind of motion and wha
 
 
 class ReferenceForm(LabScreen):
-    """What stands in the form; ``plan_now`` is called when it has been left alone for a moment."""
+    """The form; ``plan_now`` is called a moment after the last change."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -42,7 +42,7 @@ class ReferenceForm(LabScreen):
         self._own: Machine | None = None  # of a target whose machine is not among those shipped
 
     def plan_now(self) -> None:
-        """Plan what the form asks for."""
+        """Plan the motion that the form describes."""
         raise NotImplementedError
 
     # -- layout
@@ -73,7 +73,7 @@ class ReferenceForm(LabScreen):
                 yield Static("", id="check", markup=False)
 
     def on_key(self, event: events.Key) -> None:
-        """Esc leaves a field of the form: letters are keys again."""
+        """On Esc leave the field, so that letters are commands again."""
         if event.key == "escape" and isinstance(self.focused, Input):
             event.stop()
             self.set_focus(None)
@@ -131,7 +131,7 @@ class ReferenceForm(LabScreen):
     # -- the form
 
     async def _fill_form(self, values: Mapping[str, Any] | None = None) -> None:
-        """Make a line for each parameter, with its default unless ``values`` has it."""
+        """Make a line for each parameter, with the value in ``values`` or else its default."""
         kind = KINDS[self.kind]
         self.query_one("#about", Static).update(kind.description)
         fields = self.query_one("#fields", VerticalScroll)
@@ -141,8 +141,8 @@ class ReferenceForm(LabScreen):
         self._plan_soon()
 
     def _parameters(self) -> tuple[Parameter, ...]:
-        """Return the lines of the form: the kind's own parameters, and how much of the limits the
-        motion may use.
+        """The lines of the form: the parameters of the kind, and the fraction of the limits that
+        the motion may use.
         """
         return (*KINDS[self.kind].parameters, HEADROOM)
 
@@ -165,7 +165,7 @@ class ReferenceForm(LabScreen):
         return Horizontal(name, widget, unit, classes="line parameter")
 
     def on_descendant_focus(self, event: events.DescendantFocus) -> None:
-        """Say what the field means that is being edited."""
+        """Explain the field that is being edited."""
         names = [p for p in self._parameters() if p.name == event.widget.name]
         bounds = f" ({names[0].describe_bounds()})" if names and names[0].describe_bounds() else ""
         text = (
@@ -198,13 +198,13 @@ class ReferenceForm(LabScreen):
 
     @on(Select.Changed, "#fields Select")
     def _show_units(self) -> None:
-        """Of two units that a parameter may have, position's or torque's, show the one it has."""
+        """Show the units in force where a parameter may have that of position or of torque."""
         chosen = int(("quantity", "torque") in self._wanted()[2])
         for label in self.query("#fields .unit").results(Label):
             label.update((label.name or "").split(" or ")[-chosen])
 
     def values(self) -> dict[str, Any]:
-        """Return the parameters as typed, parsed; raises ReferenceError_ with the reason."""
+        """The parameters as typed, converted; raises ReferenceError_ with the reason."""
         values = {}
         typed = dict(self._wanted()[2])
         for p in self._parameters():
@@ -213,14 +213,16 @@ class ReferenceForm(LabScreen):
         return values
 
     def _wanted(self) -> Wanted:
-        """Return what the form asks for as it stands."""
+        """The motion that the form describes."""
         widgets = self.query("#form Select, #form Input, #form Switch")
         typed = [(w.name, w.value) for w in widgets if isinstance(w, Input | Select | Switch)]
         return self.machine, self.kind, tuple(typed)
 
 
 def words(value: Any) -> str:
-    """Return a default as text for an input field: numbers without noise, lists with blanks."""
+    """A default as text for an input field: numbers without trailing digits, lists separated by
+    blanks.
+    """
     if value is None:
         return ""
     if isinstance(value, bool | str):
