@@ -134,7 +134,7 @@ def command(
 def _check(
     channels: tuple[str, ...], seconds: float | None, last: bool, out: Path, plot: Path | None
 ) -> None:
-    """Refuse options that do not go together, before the recording and not after it."""
+    """Refuse options that exclude one another, before the recording rather than after it."""
     from zendsp.recording.files import check_suffix
 
     check_suffix(out)
@@ -151,7 +151,9 @@ def _check(
 
 
 def _draw(recording: Recording, path: Path) -> bool:
-    """Draw it; where that cannot be written, say so, since the recording is there all the same."""
+    """Draw the recording. A picture that cannot be written is only a message, since the recording
+    is saved.
+    """
     try:
         with drawing(path, quiet=False):
             recording.plot(path=path)

@@ -1,4 +1,4 @@
-"""``zendsp bridge``: a target in the viewers that people have."""
+"""``zendsp bridge``: shows a target in other viewers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from zendsp.cli.completing import variables
 
 
 def until_ctrl_c() -> None:
-    """Wait. Not by ``signal.pause``: a Ctrl-C just before it is heard only with the next one."""
+    """Wait for Ctrl-C. ``signal.pause`` would miss one that comes just before it."""
     while True:
         time.sleep(0.2)
 

@@ -1,4 +1,4 @@
-"""``zendsp model2c``: a model as C functions for the ISR."""
+"""``zendsp model2c``: a model as C functions for a control program."""
 
 from __future__ import annotations
 

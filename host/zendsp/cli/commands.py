@@ -1,5 +1,5 @@
-"""The commands of ``zendsp`` by name: one lazily loaded module each, so that ``--help`` imports
-nothing heavy.
+"""The commands of ``zendsp`` by name. Each module is imported only when needed, so that ``--help``
+imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class LazyGroup(click.Group):
-    """Lists every command from the table above and imports one only when it is called."""
+    """Lists every command of the table above, and imports a command only when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -97,7 +97,9 @@ class LazyGroup(click.Group):
         return command if isinstance(command, click.Command) else None
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Commands by the table above; click would import each for its help."""
+        """The commands of the table above that fit; click itself would import each one for its
+        help.
+        """
         names = [name for name in COMMANDS if name.startswith(incomplete)]
         if names:
             from click.shell_completion import CompletionItem

@@ -1,4 +1,4 @@
-"""What the commands share: which target, how to print, how to show progress."""
+"""What the commands share: the choice of a target, printing, progress."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON."
 
 
 def out_option(what: str, **more: Any) -> Callable[[F], F]:
-    """``--out``, a path; ``what`` is its help, ``more`` what else click is told."""
+    """The option ``--out``, a path; ``what`` is its help, ``more`` goes to click."""
     return click.option("-o", "--out", type=click.Path(path_type=Path), help=what, **more)
 
 
 def target_options(function: F) -> F:
-    """Add ``--target``, ``--connect`` and ``--json``."""
+    """A command with the options ``--target``, ``--connect`` and ``--json`` added."""
     decorators = (
         json_option,
         click.option(
@@ -71,7 +71,7 @@ sample_option = click.option(
 
 
 def acknowledge(target: Target, sample: int | None) -> None:
-    """Acknowledge the trip that is latched, or only that of one sample; say what it was."""
+    """Acknowledge the latched trip, or only the trip of one sample, and print what it was."""
     from zendsp.errors import Refused
 
     trip = target.status().trip
@@ -83,7 +83,9 @@ def acknowledge(target: Target, sample: int | None) -> None:
 
 
 def end_softly() -> None:
-    """Have SIGTERM and the end of the terminal act as Ctrl-C: what is half done is cleared away."""
+    """Have SIGTERM and the closing of the terminal act as Ctrl-C, so that unfinished work is
+    cleaned up.
+    """
     for number in ENDING:
         if signal.getsignal(number) == signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
@@ -91,9 +93,11 @@ def end_softly() -> None:
 
 @contextmanager
 def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterator[Target]:
-    """Connect to the target that the options name, and at the end say on standard error if it is
-    tripped or its program crashed. In ``zendsp shell`` its one link is taken. Until then SIGTERM
-    and the end of the terminal act as Ctrl-C: what was set for a run is put back.
+    """A connection to the target that the options name; in ``zendsp shell`` it is that of the
+    shell.
+
+    At the end a trip or crash of the target is reported on standard error. Until then SIGTERM and
+    the closing of the terminal act as Ctrl-C, so that what was set for a run is restored.
 
     Parameters
     ----------
@@ -145,7 +149,7 @@ def _say_of(target: Target, words: str) -> None:
 
 
 def _how_left(target: Target) -> str:
-    """How the machine is left by a command that was cut short."""
+    """The state in which an interrupted command leaves the machine."""
     from zendsp.link.programs import left
 
     with suppress(ZendspError, KeyboardInterrupt):  # of somebody who waits no longer
@@ -157,8 +161,8 @@ def _how_left(target: Target) -> str:
 
 
 def held_target(name: str, endpoint: str | None) -> Target | None:
-    """Return the target of the shell that the command was typed in, if it is the one that is
-    meant: there $ZENDSP_TARGET chose it, or was overruled, when the shell began.
+    """The target of the shell in which the command was typed, if it is the one that is meant;
+    ``$ZENDSP_TARGET`` no longer counts there.
     """
     context = click.get_current_context(silent=True)
     held: Target | None = context.find_root().obj if context is not None else None
@@ -169,7 +173,7 @@ def held_target(name: str, endpoint: str | None) -> Target | None:
 
 
 def check_writable(out: Path) -> None:
-    """Say before the work, not after it, that its result could not be written to a folder."""
+    """Refuse a folder that cannot be written to, before the work rather than after it."""
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -186,7 +190,7 @@ def check_writable(out: Path) -> None:
 
 
 def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:
-    """Print ``value`` as JSON, or the text for people."""
+    """Print ``value`` as JSON, or else the text."""
     if as_json:
         click.echo(json.dumps(plain(value), allow_nan=False))
     else:
@@ -196,8 +200,7 @@ def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:
 
 
 def plain(value: Any) -> Any:
-    """Turn messages, arrays and infinities into what JSON holds (an infinite limit becomes null).
-    """
+    """Messages, arrays and infinities as types that JSON has (an infinite limit becomes null)."""
     if isinstance(value, Packed):
         value = from_wire(value)
     if isinstance(value, msgspec.Struct):
@@ -214,8 +217,8 @@ def plain(value: Any) -> Any:
 
 
 def wrapped(text: str, head: str) -> str:
-    """Set ``text`` after ``head`` in lines of the terminal's width, 80 where there is none; further
-    lines begin below the first.
+    """``text`` after ``head``, wrapped to the width of the terminal (80 where there is none);
+    further lines are indented below the first.
     """
     width = shutil.get_terminal_size((80, 24)).columns
     return textwrap.fill(
@@ -225,8 +228,8 @@ def wrapped(text: str, head: str) -> str:
 
 
 def parse_value(text: str) -> Any:
-    """Read a value as typed on a command line: ``3``, ``0.5``, ``true``, ``[1, 2]``, or of a matrix
-    ``[[1, 2], [3, 4]]``.
+    """The value that was typed: ``3``, ``0.5``, ``true``, ``[1, 2]``, or of a matrix ``[[1, 2], [3,
+    4]]``.
 
     Raises
     ------
@@ -263,12 +266,12 @@ def _numbers(value: Any) -> bool:
 
 
 def parse_names(text: str) -> list[str]:
-    """Read names with commas between them; those within ``K[1,2]`` belong to the name."""
+    """Names separated by commas; a comma within ``K[1,2]`` belongs to the name."""
     return [name.strip() for name in re.split(r",(?![^\[]*\])", text) if name.strip()]
 
 
 def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Assignable]:
-    """Read ``NAME=VALUE …``."""
+    """Values by name, from ``NAME=VALUE …``."""
     values: dict[str, Assignable] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
@@ -284,7 +287,7 @@ def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Assignable]:
 def file_and_values(
     words: tuple[str, ...], assignments: tuple[str, ...]
 ) -> tuple[str | None, dict[str, Assignable]]:
-    """Tell FILE from what stands behind the first value of one ``--set A=1 B=2``."""
+    """FILE, and the values of one ``--set A=1 B=2``, whose second value is typed as an argument."""
     files = [word for word in words if "=" not in word or os.path.isfile(word)]
     if len(files) > 1:
         raise click.UsageError(
@@ -298,7 +301,9 @@ def file_and_values(
 
 @contextmanager
 def progress(what: str, expected_s: float, as_json: bool) -> Iterator[Callable[[float], None]]:
-    """Show a bar on a terminal for what takes longer than a second; yields ``set_fraction``."""
+    """Show a bar on a terminal for work of more than a second; yields a function that takes the
+    fraction done.
+    """
     if expected_s < 1.0 or as_json or not sys.stderr.isatty():
         yield lambda fraction: None
         return

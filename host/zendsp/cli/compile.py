@@ -33,8 +33,8 @@ def command(
 
 
 def compiled(work: Callable[[], Any], as_json: bool, target: Target | None = None) -> Any:
-    """Compile, or compile and load on a ``target``; code that does not compile is reported, with
-    what goes on running, and exit status 1.
+    """The result of compiling, or of compiling and loading on a ``target``. Code that does not
+    compile is reported, with what goes on running, and ends the command with status 1.
     """
     from zendsp.errors import CompileFailed
 
@@ -51,8 +51,7 @@ def compiled(work: Callable[[], Any], as_json: bool, target: Target | None = Non
 
 
 def report(result: Any, as_json: bool) -> None:
-    """Print what the compiler said: its messages to standard error, the outcome to standard output.
-    """
+    """Print the compiler's messages to standard error, and the outcome to standard output."""
 
     if not as_json:
         for message in result.diagnostics:

@@ -1,4 +1,4 @@
-"""How an expected error is said: one line on standard error."""
+"""Prints an expected error, in one line on standard error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def say(error: Exception) -> None:
 
 
 def _wrong_use(error: click.ClickException) -> str:
-    """One line on a command that was typed wrongly, as of every other error."""
+    """One line on a command that was typed wrongly."""
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is not None and isinstance(error, click.exceptions.NoSuchCommand):
         group = context.command

@@ -1,5 +1,5 @@
-"""What the shell offers behind a word: targets, variables, programs, machines, experiments. Fast,
-and silent where nothing answers.
+"""What the shell offers for a word: targets, variables, programs, machines, experiments. It is
+fast, and offers nothing where no target answers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def targets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Names of the targets of this user on this computer; nobody is asked over a network."""
+    """Names of this user's targets on this computer; other computers are not asked."""
     from zendsp.here.registered import local_entries
 
     names = sorted({entry.name for entry in local_entries()})
@@ -29,7 +29,7 @@ def targets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list
 
 @contextmanager
 def _asked(ctx: click.Context) -> Iterator[Target]:
-    """The target that the line so far names; in ``zendsp shell``, the one that is open."""
+    """The target that the line so far names; in ``zendsp shell`` the open one."""
     from zendsp.link import connect
 
     held: Target | None = ctx.find_root().obj
@@ -42,7 +42,9 @@ def _asked(ctx: click.Context) -> Iterator[Target]:
 
 
 def variables(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Variables of the running program and built-in signals; behind a comma, the next one."""
+    """Variables of the running program and built-in signals; after a comma, those for the next
+    name.
+    """
     from zendsp.errors import ZendspError
 
     before, comma, begun = incomplete.rpartition(",")
@@ -77,14 +79,14 @@ def assignments(
 
 
 def programs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """C files here beside the programs that come with zendsp; else any file."""
+    """C files here and those that come with zendsp; else any file."""
     from zendsp_isr.sources import shipped_programs
 
     return _files("*.c", shipped_programs(), incomplete)
 
 
 def models(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Model files here beside those that come with zendsp; else any file."""
+    """Model files here and those that come with zendsp; else any file."""
     from zendsp.physics.files.shipped import model_folder
 
     return _files("*.toml", sorted(model_folder().glob("*.toml")), incomplete)

@@ -1,4 +1,5 @@
-"""``zendsp completion``: the script by which a shell completes commands, targets and variables."""
+"""``zendsp completion``: the script with which a shell completes commands, targets and variables.
+"""
 
 from __future__ import annotations
 

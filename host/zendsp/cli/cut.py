@@ -79,7 +79,7 @@ def command(
 
 
 def _range(text: str) -> tuple[float, float]:
-    """Two times, s, with a colon between them."""
+    """Two times, s, from a text with a colon between them."""
     first, _, last = text.partition(":")
     try:
         begin, end = float(first), float(last)

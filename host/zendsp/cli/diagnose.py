@@ -121,7 +121,7 @@ def command(
 
 @dataclass(frozen=True)
 class _Asked:
-    """What the options say of any diagnosis."""
+    """The options that every diagnosis takes."""
 
     train: tuple[Path, ...]
     model: Path
@@ -135,7 +135,7 @@ class _Asked:
 
 
 def _together(asked: _Asked, run_on: str | None) -> None:
-    """One diagnosis of all recordings."""
+    """Diagnose all recordings together."""
     from zendsp.cli.progress import stages
     from zendsp.cli.steps import in_steps
     from zendsp.diagnosis import diagnose
@@ -185,8 +185,8 @@ def _together(asked: _Asked, run_on: str | None) -> None:
 
 @contextmanager
 def _how_far(out: Path | None) -> Iterator[Callable[[Said], Said]]:
-    """Say after Ctrl-C how far a diagnosis was, by the last sentence that was given, which returns
-    as it is, and what of its report is there.
+    """A function that passes on the sentences of progress. After Ctrl-C the last of them is
+    printed, and which files of the report exist.
     """
     from zendsp.diagnosis.progress import Step
 
@@ -210,8 +210,8 @@ def _how_far(out: Path | None) -> Iterator[Callable[[Said], Said]]:
 def _write(
     result: Diagnosis, out: Path, pictures: bool, tell: Progress
 ) -> tuple[Path, str]:
-    """Write the report, in a new folder for what is temporary where the disk took no more of it;
-    where it is, and what was wrong.
+    """Write the report; return its folder and what went wrong. Where the disk is full, the report
+    goes to a new folder for temporary files.
     """
     import tempfile
 
@@ -227,7 +227,7 @@ def _write(
 
 
 def _each(asked: _Asked, scheduler: str | None) -> None:
-    """A diagnosis of each recording."""
+    """Diagnose each recording on its own."""
     from zendsp.cli.progress import stages
     from zendsp.diagnosis.fleet import diagnose_each, table
     from zendsp.errors import RecordingError

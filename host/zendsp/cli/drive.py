@@ -97,7 +97,7 @@ def command(
 
 
 def _mode(status: m.DriveStatus) -> str:
-    """What the drives do in this state, and when that changes by itself."""
+    """The mode of the drives in this state, and what changes it without being asked."""
     words = {"off": "no torque", "torque": "torque mode", "velocity": "velocity mode"}
     said = words.get(status.mode, status.mode)
     if status.mode == "velocity" and status.state in LATCHED:

@@ -1,4 +1,4 @@
-"""The entry point of the ``zendsp`` command, and what its exit status says."""
+"""The entry point of the ``zendsp`` command, and its exit status."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ LEAST_MEMORY = 512 << 20  # bytes of addresses
 
 
 class _NoNumPy:
-    """Refuses NumPy where little memory is allowed: its library would look for more without end."""
+    """Refuses to import NumPy where little memory is allowed: its linear algebra library would
+    retry its allocation for ever.
+    """
 
     @staticmethod
     def find_spec(name: str, *_: object) -> None:
@@ -28,7 +30,7 @@ class _NoNumPy:
 
 
 def main() -> None:
-    """Entry point: expected errors end with one sentence and exit status 2, Ctrl-C with 130."""
+    """Run a command. Expected errors end with one sentence and exit status 2, Ctrl-C with 130."""
     write_anywhere(sys.stdout)
     warnings.formatwarning = lambda message, *_, **__: f"zendsp: {message}\n"
     if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < LEAST_MEMORY:
@@ -61,8 +63,8 @@ def main() -> None:
 
 
 def _too_little_memory(error: BaseException | None) -> BaseException | None:
-    """What did not fit into memory: where it is limited (``ulimit -v``), a library that is there
-    and cannot be loaded; NumPy raises an error of its own upon that one. None: another error.
+    """A sentence on what did not fit into memory; None for any other error. Under a limit (``ulimit
+    -v``) this can be a library that cannot be loaded, upon which NumPy raises an error of its own.
     """
     while isinstance(error, ImportError) and error.path is None:
         error = error.__cause__
@@ -71,7 +73,9 @@ def _too_little_memory(error: BaseException | None) -> BaseException | None:
 
 
 def _let_go_of_output() -> None:
-    """Have what nobody takes go nowhere: the end of the interpreter would complain of it again."""
+    """Discard output that nobody reads, of which the interpreter would complain once more at its
+    end.
+    """
     try:
         sys.stdout.flush()
     except OSError:

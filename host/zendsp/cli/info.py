@@ -1,4 +1,4 @@
-"""``zendsp info``: who a target is, what it runs, which variables there are."""
+"""``zendsp info``: a target, its program, and its variables."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
 
 
 def _program(key: str, sources: Collection[str]) -> str:
-    """The program by the names of its C files, and the start of the key of what was compiled."""
+    """The program as the names of its C files and the first characters of its key."""
     if not key:
         return "none: load one with zendsp run, or zendsp compile --help"
     named = ", ".join(name for name in sources if name.endswith(".c"))
@@ -105,7 +105,7 @@ def _text(
 
 
 def _table(variables: Mapping[str, m.VariableInfo], values: Mapping[str, Value]) -> str:
-    """The dictionary of variables, each with its value beside its kind."""
+    """The variables with their values, as a table."""
     listed = Dictionary(variables)
     header = (*listed.header[:3], "VALUE", *listed.header[3:])
     rows = [

@@ -1,4 +1,4 @@
-"""Long lines of prose, broken between words at the width of the terminal that shows them."""
+"""Wraps long lines of text at the width of the terminal."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ STAND_INS = {
 
 
 def write_anywhere(stream: TextIO) -> None:
-    """Have a stream write a stand-in for a character that its encoding lacks, such as ✔ in Latin-1,
-    and not fail on it.
+    """Have a stream replace a character that its encoding lacks, such as ✔ in Latin-1, instead of
+    failing.
     """
     codecs.register_error("zendsp", _stood_in)
     if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
@@ -36,9 +36,8 @@ def _stood_in(error: UnicodeError) -> tuple[str, int]:
 
 
 def fitted(text: str, stream: TextIO) -> str:
-    """Return text for a stream: broken where that is a terminal, else as it is, so that a line of a
-    pipe or a log stays one line. Of columns, which have two blanks between them, only the last is
-    broken.
+    """The text for a stream: wrapped for a terminal; unchanged for a pipe or a log. Of columns,
+    which are separated by two blanks, only the last is wrapped.
     """
     if not stream.isatty():
         return text

@@ -1,7 +1,8 @@
-"""Progress for commands of more than a second: one live line on a terminal, nothing in a pipe.
+"""Progress of commands that take more than a second: one line that changes on a terminal, nothing
+in a pipe.
 
-``ZENDSP_PROGRESS=lines`` asks for a line on stderr at each stage instead: for a log, or a window
-that shows what a process says.
+With ``ZENDSP_PROGRESS=lines`` each stage is a line on stderr instead, for a log or for a window
+that shows a process's output.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def stages(*, quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """A function that shows what is being done.
+    """Yield a function that shows the present stage of the work.
 
     Parameters
     ----------
@@ -41,7 +42,7 @@ def stages(*, quiet: bool = False) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def drawing(path: object, quiet: bool) -> Iterator[None]:
-    """Say that a picture is drawn: the first of a process takes seconds."""
+    """Say that a picture is being drawn; the first one of a process takes seconds."""
     with stages(quiet=quiet) as tell:
         tell(f"drawing {path}")
         yield

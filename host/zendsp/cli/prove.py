@@ -1,5 +1,5 @@
-"""``zendsp prove``: concealed cases of several realities, real machines and implants, counted in
-the open.
+"""``zendsp prove``: diagnoses concealed cases of several realities, real machines and implants, and
+counts the answers.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def data_folder(given: Path | None) -> Path:
 
 
 def realities(words: str) -> tuple[str, ...]:
-    """The makers that ``--reality`` names; without it, all that are installed."""
+    """The makers that ``--reality`` names; without it, all whose packages are installed."""
     from zendsp.proof.programme import REALITIES
 
     there = installed("mujoco")
@@ -214,7 +214,7 @@ def command(
 
 
 def _words(makers: Sequence[str], seed: int, quick: bool, sample: int | None, given: str) -> str:
-    """The command that makes these cases again, for the page."""
+    """The command that makes the same cases again, for the page."""
     words = ["zendsp prove", *(["--quick"] if quick else [])]
     words.append(f"--reality {','.join(makers)} --seed {seed}")
     words += [f"--sample {sample}"] if sample else []
@@ -222,7 +222,7 @@ def _words(makers: Sequence[str], seed: int, quick: bool, sample: int | None, gi
 
 
 def prepared(folder: Path) -> Prepared:
-    """The cases that ``--make`` wrote."""
+    """The cases that ``--make`` wrote in a folder."""
     from zendsp.proof.programme import found
 
     return found(folder)
@@ -267,7 +267,7 @@ def judging(
 
 
 def forget(folder: Path) -> None:
-    """Remove what a run of the proof wrote, and nothing else."""
+    """Remove the files that a run of the proof wrote, and no others."""
     import shutil
 
     if not (folder / "programme.json").exists():
@@ -279,7 +279,7 @@ def forget(folder: Path) -> None:
 
 
 def fetch_absent(data: Path) -> None:
-    """Download what can be had and say what cannot."""
+    """Download the recordings that can be downloaded, and name the others."""
     from zendsp.proof import convert
 
     for machine in convert.FILES:
@@ -290,7 +290,9 @@ def fetch_absent(data: Path) -> None:
 def on_real_machines(
     data: Path, out: Path, limit: float, *, implant: bool, only: str, quick: bool, jobs: int
 ) -> int:
-    """Print each real machine beside what was published, or the implants; the exit status."""
+    """Print the result for each real machine beside published values, or those of the implants;
+    return the exit status.
+    """
     from zendsp.proof import real
 
     if implant:

@@ -1,5 +1,5 @@
-"""``zendsp reference``: plan a motion, check it against a machine's limits, save it; one subcommand
-per kind.
+"""``zendsp reference``: plans a motion, checks it against a machine's limits and saves it; one
+subcommand for each kind.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ COLUMNS = ((10, 4), (10, 4), (9, 3), (9, 2), (9, 3))  # width and decimals
 
 
 def _summary(reference: Any, torque: Any) -> dict[str, Any]:
-    """What the terminal prints: duration and the largest magnitudes of each joint."""
+    """Duration, and the largest magnitudes of each joint."""
     told = [("torque", torque)]
     if not reference.jumps:  # a step has neither
         told += [("speed", reference.qd), ("acceleration", reference.qdd)]
@@ -84,7 +84,7 @@ def _finish(
     make: Callable[[], Any], machine: Any, out: str | None, plot: str | None, as_json: bool,
     check: bool,
 ) -> None:
-    """Make or read it, check, save, draw, print."""
+    """Plan or read the motion with ``make``, then check, save, draw and print it."""
     from zendsp.cli.progress import stages
 
     with stages(quiet=as_json) as tell:
@@ -125,7 +125,7 @@ def _made(
 
 
 def _common(function: Any) -> Any:
-    """Options of every kind."""
+    """A command with the options of every kind."""
     for option in (
         click.option(
             "--json", "as_json", is_flag=True, help="Print one JSON object instead of the table."
@@ -234,7 +234,7 @@ def _common_on(command: click.Command) -> click.Command:
 
 
 class _Kinds(click.Group):
-    """One subcommand per kind of reference, made from the registry when asked for."""
+    """One subcommand for each kind of reference, made from the registry when it is needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         from zendsp.reference import KINDS

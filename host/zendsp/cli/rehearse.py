@@ -1,5 +1,5 @@
-"""``zendsp rehearse``: the loaded program with a planned motion on a simulated twin, before the
-machine moves.
+"""``zendsp rehearse``: plays a planned motion with the loaded program on a simulated twin, before
+the machine moves.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``zendsp reveal``: what a simulated machine conceals, after the fact."""
+"""``zendsp reveal``: what a simulated machine conceals, after the diagnosis."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def command(target: str, connect: str | None, as_json: bool, only_seal: bool) ->
 
 
 def _in_model_frame(effect: TrueEffect, machine: str) -> list[str]:
-    """Where a payload is in the frame that a diagnosis speaks of, where that is another one."""
+    """The position of a payload in the frame that a diagnosis uses, where that is another one."""
     from zendsp.demo.evidence import in_model_frame
     from zendsp.reference import load_machine
 

@@ -1,4 +1,4 @@
-"""``zendsp run``: compile, download and start a program."""
+"""``zendsp run``: compiles, loads and starts a program."""
 
 from __future__ import annotations
 

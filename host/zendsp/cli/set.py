@@ -53,7 +53,8 @@ def command(
 
 
 def _see_it_act(target: Target, tick: int) -> None:
-    """Wait for the sample after ``tick``: if the new values trip, that is told as the link closes.
+    """Wait for the sample after ``tick``, so that a trip caused by the new values is reported when
+    the link closes.
     """
     until = time.monotonic() + ACTS_S
     while time.monotonic() < until:

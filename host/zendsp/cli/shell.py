@@ -1,4 +1,4 @@
-"""``zendsp shell``: the commands at a prompt of their own, over one link."""
+"""``zendsp shell``: a prompt for the commands, over one link."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
 
 
 def run_line(words: list[str], target: object, as_json: bool) -> None:
-    """Run one command; what goes wrong is said, and the prompt comes back."""
+    """Run one command; an error is printed, and the prompt returns."""
     from zendsp.cli.commands import cli
     from zendsp.cli.complaints import say
     from zendsp.errors import ZendspError
@@ -73,7 +73,7 @@ def run_line(words: list[str], target: object, as_json: bool) -> None:
 
 
 def offers(complete: ShellComplete, line: str) -> list[str]:
-    """Return what may follow a line that has been begun.
+    """The words that may complete the line.
 
     Examples
     --------

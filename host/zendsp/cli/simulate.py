@@ -1,4 +1,4 @@
-"""``zendsp simulate``: the control program against the host's model of the machine, without a
+"""``zendsp simulate``: runs the control program against the host's model of the machine, without a
 target.
 """
 
@@ -137,14 +137,14 @@ def command(
 
 
 def _peaks(rec: Recording) -> dict[str, float | list[float]]:
-    """Largest magnitudes of each signal."""
+    """The largest magnitude of each signal."""
     import numpy as np
 
     return {name: np.abs(rec[name]).max(axis=0).tolist() for name in rec.names}
 
 
 def _say(rec: Recording) -> None:
-    """Print what came out of a simulation."""
+    """Print the result of a simulation."""
     import numpy as np
 
     click.echo(

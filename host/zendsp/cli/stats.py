@@ -53,8 +53,8 @@ def _text(status: m.Status) -> str:
 
 
 def late_since(before: m.Timing, now: m.Timing) -> str:
-    """Return how many samples came late since ``before`` was read, and by how much; "" where none
-    did.
+    """How many samples were late since ``before`` was read, and by how much, in words; "" where
+    none was.
     """
     if now.ticks < before.ticks:  # another program was loaded
         before = m.Timing()
@@ -74,8 +74,8 @@ def _summary(name: str, mean_ns: float, max_ns: float, period_us: float) -> str:
 
 
 def bars(counts: np.ndarray[Any, Any], edges: np.ndarray[Any, Any]) -> list[str]:
-    """One line per factor of two, or of four or more where that would be over 18 lines; the length
-    of the bar is the logarithm of the count.
+    """The lines of a histogram, one for each factor of two, or of four or more where that would be
+    over 18 lines. The length of a bar is the logarithm of the count.
     """
     used = np.flatnonzero(counts)
     first, last = int(used[0]), int(used[-1])

@@ -1,4 +1,5 @@
-"""How far a diagnosis is: steps that only go forward, whatever is done again within one."""
+"""The progress of a diagnosis as steps that never go back, even where part of the work is repeated.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from zendsp.diagnosis.progress import Progress, Said, Step
 
 
 def in_steps(tell: Callable[[Said], None]) -> Progress:
-    """Return what takes the sentences of a diagnosis and tells them with their step: ``3/6
+    """A function that takes the sentences of a diagnosis and passes them on with their step: ``3/6
     searching: joint 1: screening the library``.
     """
     reached = Step.READING

@@ -104,7 +104,7 @@ def command(
 
 @dataclass(frozen=True)
 class _Asked:
-    """A STOP that was asked of one target, through shared memory where that can be."""
+    """A STOP that was sent to one target, through shared memory where that is possible."""
 
     name: str
     connect: str | Sequence[str] | None
@@ -114,11 +114,13 @@ class _Asked:
 
     @property
     def label(self) -> str:
-        """Its name, for people."""
+        """The target's name, for people."""
         return f"{self.name} at {self.at}" if self.at else self.name
 
     def end(self, tell: _Tell) -> None:
-        """Tell the word of the loop as soon as it is there, then that of the target itself."""
+        """Report the answer of the loop as soon as it is there, then that of the target's own
+        process.
+        """
         from zendsp.here.stopped import TAKEN_S, stopped_at
 
         sample = None if self.page is None else self.page.taken(self.before, TAKEN_S)
@@ -146,13 +148,13 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where all that answer are to be stopped, except the runs ``but``."""
+    """Endpoints at which every target that answers is stopped, except the runs ``but``."""
 
     label: str  # its endpoint
     but: frozenset[str]
 
     def end(self, tell: _Tell) -> None:
-        """Ask them, and tell how each ended."""
+        """Send STOP to them, and report how each ended."""
         if _little_memory():
             raise NotStopped(f"{EMERGENCY} ({TOO_LITTLE})")
         from zendsp.link.find import there
@@ -164,8 +166,8 @@ class _Place:
 
 
 def _ask_all(names: Sequence[str], connect: str | None) -> list[_Asked | _Place]:
-    """Ask those named; without names what is at ``--connect``, or else every target of this machine
-    and what ``$ZENDSP_CONNECT`` leads to. Never waits.
+    """Send STOP to the targets named; without names to those at ``--connect``, or else to every
+    target of this computer and those at ``$ZENDSP_CONNECT``. Never waits.
     """
     from zendsp.here.registered import own_entries, remote_endpoints
     from zendsp.here.stop_page import find
@@ -190,7 +192,7 @@ def _ask_all(names: Sequence[str], connect: str | None) -> list[_Asked | _Place]
 
 
 def _ends(asked: Sequence[_Asked | _Place]) -> Iterator[tuple[str, m.Status | NotStopped]]:
-    """How each ended, as they tell; the last word on a target counts."""
+    """How each STOP ended, as reported; for each target the last report counts."""
     words: SimpleQueue[tuple[str, m.Status | NotStopped] | None] = SimpleQueue()
 
     def all_of_them() -> None:
@@ -208,7 +210,9 @@ def _ends(asked: Sequence[_Asked | _Place]) -> Iterator[tuple[str, m.Status | No
 
 
 def _at_once(asked: Sequence[_Asked | _Place], tell: _Tell) -> None:
-    """Have each end in a thread of its own: one that is silent holds up no other."""
+    """Wait for the end of each STOP in a thread of its own, so that a silent target delays no
+    other.
+    """
     def end(one: _Asked | _Place) -> None:
         try:
             one.end(tell)
@@ -228,5 +232,5 @@ def _at_once(asked: Sequence[_Asked | _Place], tell: _Tell) -> None:
 
 
 def _little_memory() -> bool:
-    """Whether Zenoh and NumPy might hang or end this process, for want of addresses."""
+    """Whether the address space is so small that Zenoh and NumPy might hang or end this process."""
     return 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < LEAST_MEMORY

@@ -1,4 +1,4 @@
-"""``zendsp sweep``: the same measurement for many sets of parameters."""
+"""``zendsp sweep``: the same measurement with many sets of parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``zendsp target``: run a target here, in the foreground."""
+"""``zendsp target``: runs a target on this computer, in the foreground."""
 
 from __future__ import annotations
 

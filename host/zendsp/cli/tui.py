@@ -150,8 +150,8 @@ def command(
 
 @contextlib.contextmanager
 def errors_kept() -> Iterator[None]:
-    """Keep what libraries write on standard error until the screens are gone: written on the same
-    terminal it would tear the picture apart.
+    """Hold back what libraries write on standard error until the screens are closed: on the same
+    terminal it would garble them.
     """
     if not sys.stderr.isatty():
         yield
@@ -171,7 +171,7 @@ def errors_kept() -> Iterator[None]:
 
 
 def _need_terminal() -> None:
-    """Refuse where keys or pictures would go by no terminal."""
+    """Refuse where input or output is no terminal."""
     for stream, what in ((sys.stdin, "keys come from"), (sys.stdout, "output goes")):
         if not stream.isatty():
             raise LinkError(
@@ -181,7 +181,7 @@ def _need_terminal() -> None:
 
 
 def found(source: str) -> Path:
-    """Return the file that --source means, found as `zendsp run` finds it."""
+    """The file that --source means, looked for as `zendsp run` does."""
     from zendsp_isr.sources import find_program
 
     return find_program(source).resolve()

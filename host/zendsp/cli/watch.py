@@ -89,8 +89,8 @@ def command(
 
 
 def in_rows(parts: Sequence[str], width: int) -> list[str]:
-    """Set what does not stand beside one another in ``width`` columns beneath: a line that the
-    terminal itself wraps could not be drawn over.
+    """The parts in rows of at most ``width`` columns: a line that the terminal itself wraps could
+    not be overwritten.
 
     Examples
     --------
@@ -108,14 +108,14 @@ def in_rows(parts: Sequence[str], width: int) -> list[str]:
 
 
 def _say_once(text: str, told: str) -> str:
-    """Say why no line comes, unless that is said already; returns what is."""
+    """Say why no rows come, unless that was said already; return what was said."""
     if text and not told:
         click.echo(f"{text}: is the program running?", err=True)
     return text or told
 
 
 def _trouble(target: Target, told: str, begin: str = "") -> str:
-    """Return what stopped the program, and say it once; an error says that the target is gone."""
+    """What stopped the program, which is said once; an error says that the target is gone."""
     from zendsp.link.programs import trouble
 
     said = trouble(target.status())
@@ -125,7 +125,7 @@ def _trouble(target: Target, told: str, begin: str = "") -> str:
 
 
 def _first(target: Target, view: LiveView) -> dict[str, float]:
-    """Wait for the first rows; say why none come."""
+    """Wait for the first rows, and say why none come."""
     told, waits = "", False
     while view.next_block(ASK_S) is None:
         told = _trouble(target, told)

@@ -1,5 +1,5 @@
-"""Identification experiments over the link: they move a machine, keep every recording, fit, draw,
-and write a result.
+"""Identification experiments over the link: each moves a machine, keeps every recording, fits,
+draws, and writes a result.
 """
 
 from zendsp.experiment.frequency import frequency_response

@@ -1,5 +1,5 @@
-"""Friction of every joint of any machine that takes torques: constant speeds both ways, from where
-it stands, within what the machine says that it bears.
+"""Friction of every joint of any machine that takes torques, from constant speeds in both
+directions, within the limits that the machine states.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ NO_CHANCE = 0.99  # of the F distribution: what chance explains once in a hundre
 
 
 def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
-    """Coulomb and viscous friction of each direction of every joint, and the weight that it moves.
+    """Coulomb and viscous friction of every joint and direction, and the weight that the joint
+    moves.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
 
 
 def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: float) -> Reference:
-    """Ramp up, cruise, ramp down, rest, and the same back, for each speed."""
+    """For each speed: ramp up, cruise, ramp down, rest, and the same back."""
     low, high = joint.position_min, joint.position_max
     travel = min(TRAVEL, SHARE * (high - low))
     if not travel > 0.0:
@@ -107,9 +108,11 @@ def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
 
 
 def _line(sliding: Sliding, may_weigh: bool) -> Friction:
-    """What friction and weight explain a joint's torque: a weight, two more coefficients, where
-    they explain what chance does once in a hundred (F test). What friction does at a place it does
-    at every speed: a part counts as one measurement.
+    """Friction and weight that explain a joint's torque.
+
+    A weight is two more coefficients; it is kept where chance would explain as much only once in a
+    hundred times (F test). Friction that varies with place does so alike at every speed, so one
+    part of the way counts as one measurement.
     """
     from scipy.special import fdtri
 
@@ -124,8 +127,10 @@ def _line(sliding: Sliding, may_weigh: bool) -> Friction:
 
 
 def _falling(sliding: Sliding, weighs: bool) -> Friction:
-    """The line of friction over speed, and what it falls from where that explains more than chance.
-    Its shape over speed is the same at every place: here each piece is a measurement.
+    """The line of friction over speed, with a part that falls with speed where that explains more
+    than chance.
+
+    The shape over speed is the same at every place, so here each piece is a measurement.
     """
     from scipy.special import fdtri
 
@@ -142,8 +147,10 @@ def _falling(sliding: Sliding, weighs: bool) -> Friction:
 
 
 def _of_slide(found: Friction) -> Friction:
-    """Friction of a slide. Its weight is the same everywhere, and not to be told from friction of
-    which one direction has more: that difference is called weight.
+    """Friction of a joint that slides.
+
+    Its weight is the same everywhere and cannot be told from a friction that is larger in one
+    direction; the difference of the directions is called weight.
     """
     level, _, half, _ = found.mean
     weight = 0.5 * (found.value["+"][0] - found.value["-"][0])

@@ -1,5 +1,5 @@
-"""Numbers with uncertainties that hold: value ± 1.96 standard deviations covers the truth 95 times
-of 100, however few measurements there were (`benchmarks/experiments.py` counts it).
+"""Estimates whose uncertainties hold: value ± 1.96 standard deviations covers the truth 95 times of
+100, however few measurements there were (`benchmarks/experiments.py` counts it).
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ def smoothed(
     x: Array, window: int, sample_time: float = 1.0, order: int = 0, *, degree: int = 2,
     ends: Literal["interp", "wrap"] = "interp",
 ) -> Array:
-    """A row, or its derivative of an order, by the polynomial through ``window`` samples about each
-    (Savitzky and Golay 1964); along time, (n,) or (n, joints).
+    """A signal, or its derivative of an order, from the polynomial through ``window`` samples
+    around each sample (Savitzky and Golay 1964), along time; (n,) or (n, joints).
     """
     return polynomial(x, window, degree, order, sample_time, ends)
 
 
 def half_width(std: float | Array, free: int) -> Array:
-    """Half width of a 95 % interval (Student) of an estimate with ``free`` degrees of freedom."""
+    """Half width of the 95 % interval (Student) of an estimate with ``free`` degrees of freedom."""
     from scipy.special import stdtrit  # scipy.stats would take a second to import
 
     return np.asarray(std) * (stdtrit(free, 0.975) if free > 0 else np.inf)
@@ -37,7 +37,7 @@ def half_width(std: float | Array, free: int) -> Array:
 def mean_of(
     values: Sequence[float], unit: str, systematic: float = 0.0, beside: Sequence[float] = ()
 ) -> Estimate:
-    """Mean of repeated measurements.
+    """The mean of repeated measurements, with its standard deviation.
 
     Parameters
     ----------
@@ -75,11 +75,11 @@ def widest(
     ways: Array,
     alike: Sequence[tuple[npt.NDArray[np.int64], int]],
 ) -> Array:
-    """95 % half widths of combinations of a least-squares solution (rows of ``ways``): the widest
-    of those of independent rows, and of rows that are alike in groups (Liang and Zeger 1986).
+    """95 % half widths of combinations (rows of ``ways``) of a least-squares solution.
 
-    ``alike``: for each way to group, the group of each row, and degrees of freedom of as many
-    groups.
+    Each is the larger of two: that for independent rows, and that for rows which are alike in
+    groups (Liang and Zeger 1986). ``alike`` has, for each way of grouping, the group of each row
+    and the degrees of freedom of that many groups.
     """
     free = len(left) - A.shape[1]
     plain = np.sum(ways @ inverse * ways, axis=1) * float(left @ left) / max(free, 1)
@@ -94,8 +94,8 @@ def widest(
 
 
 def line_fit(speed: Array, torque: Array) -> tuple[Array, Array, float]:
-    """|torque| = level + viscous |speed|: both, their 95 % half widths, and the correlation between
-    them.
+    """|torque| = level + viscous |speed|: both coefficients, their 95 % half widths, and their
+    correlation.
     """
     A = np.stack([np.ones(len(speed)), np.abs(speed)], axis=1)
     solution, half, inverse = least_squares(A, np.abs(torque))

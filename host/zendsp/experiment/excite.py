@@ -1,4 +1,4 @@
-"""Swings one joint about where it stands, from the tables of the loaded program."""
+"""Swings one joint about its present position, from the tables of the loaded program."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def play(
     rehearsed: bool,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Recording, int]:
-    """Play a period some times and record it.
+    """Play a period several times and record it.
 
-    At the end the machine is where it stood before, and the program does what it did before. What
-    ends it early, Ctrl-C too, is told at `Player`.
+    Afterwards the machine is at its position before, and the program does what it did before.
+    `Player` describes an early end, also by Ctrl-C.
 
     Parameters
     ----------
@@ -81,7 +81,9 @@ def play(
 
 
 def _sign_of_life(progress: Callable[[float], None] | None) -> Callable[[float], None] | None:
-    """What a rehearsal tells: nothing is done yet, but it can be interrupted."""
+    """A callback for a rehearsal that calls ``progress`` with 0: nothing is done yet, but it can be
+    interrupted.
+    """
     if progress is None:
         return None
     tell = progress
@@ -103,7 +105,7 @@ def _tables(
     seconds: float,
     times: int,
 ) -> tuple[dict[str, Floats], int]:
-    """The rows of every table, in the order in which they are sent, and how many there are a
+    """The rows of every table, in the order in which they are sent, and the number of rows a
     second.
     """
     infos = target.variables()
@@ -143,6 +145,6 @@ def _tables(
 
 
 def _fade(t: Floats, times: int) -> Floats:
-    """From 0 to 1 within the first periods, and back to 0 after the last; smooth."""
+    """A smooth factor: from 0 to 1 within the first periods, and back to 0 after the last."""
     share = np.clip(np.minimum(t, times + FADE - t) / FADE, 0.0, 1.0)
     return np.asarray(share**3 * (10.0 + share * (6.0 * share - 15.0)))

@@ -1,4 +1,4 @@
-"""One look for the figures of all experiments."""
+"""The common style of the figures of all experiments."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ BLUE, RED, GREEN, AMBER = "#1f5fa8", "#c23b22", "#2f7d4f", "#c98a1b"
 def make_figure(
     rows: int, columns: int, width: float = 9.0, height: float = 3.2, **options: Any
 ) -> tuple[Figure, Any]:
-    """A figure of ``rows`` by ``columns`` panels, each ``height`` inches high; panels as a 2-D
-    array.
+    """A figure of ``rows`` by ``columns`` panels, each ``height`` inches high, and its panels as a
+    2-D array.
     """
     from matplotlib.figure import Figure
 

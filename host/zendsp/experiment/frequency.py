@@ -1,12 +1,13 @@
-"""Frequency response of a running machine: a multisine played from the program's own table, on the
-target's own clock.
+"""Frequency response of a running machine, to a multisine played from the program's own table, on
+the target's own clock.
 
 Estimator: the spectra of P whole periods of input u and output y, G = mean(Y) / mean(U) at each
-excited line. Averages over periods tend to what the excitation causes. So G is right in a closed
-loop too, where Y U* / U U* is not (Pintelon and Schoukens 2012, chapter 2). Coherence is the part
-of both signals' power that repeats from period to period. The standard deviation of G is the
-larger of two: what does not repeat, and what a nonlinear machine adds in every period alike. The
-latter shows at harmonics that were not excited (the same, chapter 4).
+excited line. Averages over periods converge to the response to the excitation, so that G is right
+in a closed loop too, where Y U* / U U* is not (Pintelon and Schoukens 2012, chapter 2). Coherence
+is the part of both signals' power that repeats from period to period. The standard deviation of G
+is the larger of two: that of the part that does not repeat, and that of the distortion which a
+nonlinear machine adds alike in every period. The latter is seen at harmonics that were not excited
+(the same, chapter 4).
 """
 
 from __future__ import annotations
@@ -57,11 +58,11 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Measure a frequency response with the loaded program, which follows its table ``ref``.
 
-    One joint swings about where it stands by a multisine of low crest factor whose lines are
-    multiples of ``f_min``, nearly evenly spaced in log f; the others are held. The first period is
-    not used: what the beginning left dies away in it. A target on the fast clock is paused and
-    starts with the recording; on the real clock the program goes on. Afterwards the machine is
-    where it stood, and the program does what it did before: parameters and tables are put back.
+    One joint swings about its position by a multisine of low crest factor, whose lines are
+    multiples of ``f_min``, nearly evenly spaced in log f; the other joints are held. The first
+    period is not used, since transients die away in it. On the fast clock the program is paused and
+    starts with the recording; on the real clock it goes on running. Afterwards the machine is at
+    its position before and the program does what it did before: parameters and tables are restored.
 
     Parameters
     ----------
@@ -156,11 +157,12 @@ def usual_amplitude(
     joint: int,
     quantity: Literal["position", "torque"] = "position",
 ) -> tuple[float, str]:
-    """Return a peak that shows over friction and encoder, far below the limits, and its unit.
+    """A peak that stands out from friction and encoder steps and stays far below the limits, and
+    its unit.
 
-    Of a position 0.02 rad (2 mm), or 100 counts of the encoder where that is more; at most a tenth
-    of the travel, and what keeps the default band below a fifth of the speed limit. Of a torque 5 %
-    of its limit.
+    For a position it is 0.02 rad (2 mm), or 100 counts of the encoder where that is more; at most a
+    tenth of the travel, and at most what keeps the default band below a fifth of the speed limit.
+    For a torque it is 5 % of its limit.
 
     Parameters
     ----------
@@ -202,7 +204,7 @@ def usual_amplitude(
 
 
 def choose_lines(samples: int, ratio: float, most: int, rate: float) -> npt.NDArray[np.int64]:
-    """Return harmonics of a period, nearly evenly spaced in log f, with gaps among the low ones.
+    """Harmonics of a period, nearly evenly spaced in log f, with gaps among the low ones.
 
     Parameters
     ----------
@@ -236,7 +238,7 @@ def choose_lines(samples: int, ratio: float, most: int, rate: float) -> npt.NDAr
 def make_period(
     harmonics: npt.NDArray[np.int64], amplitude: float, power: int, f_min: float, t: Floats
 ) -> Floats:
-    """Return a multisine at times ``t`` (s) whose peak is ``amplitude``.
+    """A multisine at times ``t`` (s) whose peak is ``amplitude``.
 
     Parameters
     ----------
@@ -258,7 +260,7 @@ def make_period(
 def estimate(
     u: Floats, y: Floats, periods: int, harmonics: npt.NDArray[np.int64]
 ) -> tuple[Complex, Floats, Floats]:
-    """Return response, standard deviation and coherence at the harmonics.
+    """Response, standard deviation and coherence at the harmonics.
 
     Parameters
     ----------
@@ -288,7 +290,7 @@ def estimate(
 def distortion(
     u: Floats, y: Floats, periods: int, harmonics: npt.NDArray[np.int64], gain: Complex
 ) -> Floats:
-    """Return the standard deviation of the response that a nonlinear machine causes.
+    """The standard deviation of the response that a nonlinear machine causes.
 
     Parameters
     ----------

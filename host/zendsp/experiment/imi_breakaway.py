@@ -1,4 +1,4 @@
-"""Friction of the planar arm that sticks: breakaway torque, and the stiffness of bristles."""
+"""Static friction of the planar arm: the breakaway torque, and the stiffness of the bristles."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ WINDOW, FAST_WINDOW = 101, 31  # samples that a slow push and a fast one are smo
 
 
 def static(lab: Lab, count: int = 6) -> Result:
-    """Static friction: torque steps CW and CCW from several positions; the mean of the torques at
-    which a joint breaks away.
+    """Static friction: torque steps CW and CCW from several positions; the result is the mean of
+    the breakaway torques.
 
-    The positions are drawn at random: friction varies with place, and only so does the spread of
-    few tell how far their mean may be from that of all places.
+    The positions are drawn at random, because friction varies with place: only then does the spread
+    of a few torques tell how far their mean may be from that of all places.
     """
     result = Result("imi-static", "Static friction of the planar arm", MACHINE)
     found: dict[tuple[int, int], list[tuple[float, float]]] = {}
@@ -68,12 +68,12 @@ def static(lab: Lab, count: int = 6) -> Result:
 
 
 def too_early(joint: int, apart: Sequence[float]) -> Estimate:
-    """By how much a joint breaks away too early because the torque grows while it does, N m.
+    """By how much a joint breaks away too early because the torque still grows meanwhile, N m.
 
-    It breaks away where friction can hold no more: a fold, which under a torque that grows at a
-    rate r is passed at a speed of r^(1/3). Friction falls as the square of a small speed, so what
-    is missing goes as r^(2/3): two rates tell it. An exponent of 1/2 or 1 would give half as much
-    again, or half: a third is its standard deviation.
+    A joint breaks away where friction can hold no more torque. This is a fold, which under a torque
+    that grows at a rate r is passed at a speed of r^(1/3). Friction falls as the square of a small
+    speed, so the missing torque goes as r^(2/3), and two rates determine it. An exponent of 1/2
+    would give half as much again, and 1 half as much; its standard deviation is therefore a third.
 
     Parameters
     ----------
@@ -95,8 +95,10 @@ def _report_static(
     bristles: list[tuple[float, float]],
     early: Estimate,
 ) -> None:
-    """Both directions vary along the same way: they share their spread. Friction that goes up and
-    down with place is not normal, and of four places alone it looks too even once in ten times.
+    """Add the breakaway torques to the result.
+
+    Friction of both directions varies along the same path, so they share their spread. Its
+    distribution over places is not normal: four places alone look too even once in ten times.
     """
     both = []
     torques = {d: [torque for _, torque in found[joint, d]] for d in (1, -1)}
@@ -126,8 +128,8 @@ def _report_static(
 
 
 class Push(NamedTuple):
-    """What two pushes at a place tell: breakaway torque of a slow staircase and of a fast one
-    (N m); stiffness (N m/rad) of the fast one, and how far two ways of reading it are apart.
+    """The result of two pushes at a place: breakaway torque of a slow and of a fast staircase (N
+    m); stiffness from the fast one (N m/rad), and the difference between two ways of reading it.
     """
 
     torque: float
@@ -176,8 +178,10 @@ def _push(
 
 
 def pushed_way(rec: Recording, joint: int, window: int) -> tuple[Array, Array, Array]:
-    """Way, speed and friction torque of a pushed joint, smoothed by a local parabola, its sign
-    taken off: friction is the torque less what accelerates the joint.
+    """Way, speed and friction torque of a pushed joint, smoothed by a local parabola, as
+    magnitudes.
+
+    Friction is the torque less that which accelerates the joint.
     """
     rows = np.flatnonzero(rec["phase"] == 2)
     before = np.arange(max(0, rows[0] - 50), rows[0])
@@ -196,11 +200,11 @@ def pushed_way(rec: Recording, joint: int, window: int) -> tuple[Array, Array, A
 
 
 def breakaway_torque(rec: Recording, joint: int) -> float:
-    """The most that friction holds, N m: the torque less what accelerates the joint and what is
-    viscous, at its largest.
+    """The largest torque that friction holds, N m: the torque less its accelerating and viscous
+    parts, at the maximum.
 
-    A joint creeps before it runs away, and gathers speed while the torque goes on growing: the
-    torque at any given speed is too high.
+    A joint creeps before it breaks away, and gains speed while the torque goes on growing; the
+    torque at a given speed would be too large.
     """
     if len(np.flatnonzero(rec["phase"] == 2)) < 2 * WINDOW:
         raise RecordingError(f"joint {joint} was pushed for less than {2 * WINDOW} samples")
@@ -219,11 +223,11 @@ def breakaway_torque(rec: Recording, joint: int) -> float:
 def bristle_stiffness(
     pushed: tuple[Array, Array, Array], joint: int, level: float, part: float = 0.7
 ) -> float:
-    """Stiffness of the spring that friction is before it slides, N m/rad, from a fast push.
+    """Stiffness of the spring that friction is before the joint slides, N m/rad, from a fast push.
 
     friction = level (1 - exp(-stiffness way / level)) + damping speed (Dahl 1968), for the first
-    ``part`` of the breakaway torque. A slow push measures creep instead: what shakes the joint, the
-    noise of its drive, lets a bristle slip.
+    ``part`` of the breakaway torque. A slow push would measure creep instead: the noise of the
+    drive shakes the joint and lets bristles slip.
     """
     from scipy.optimize import least_squares
 
@@ -246,7 +250,7 @@ def _draw_static(
     early: dict[int, Estimate],
     bench: Bench,
 ) -> str:
-    """Each push where it was made, corrected as their mean is."""
+    """Draw each push at its place, corrected as the mean is."""
     figure, axes = make_figure(1, 2)
     for axis, joint in zip(axes[0], JOINTS, strict=True):
         for direction, colour, word in ((1, BLUE, "counterclockwise"), (-1, RED, "clockwise")):

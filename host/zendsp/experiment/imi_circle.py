@@ -26,7 +26,8 @@ PROGRAM = "inverse_dynamics.c"
 
 
 def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
-    """The paper's test: a circle in 4.5 s, four ways; and slower circles, whose error has a floor.
+    """The paper's test: a circle in 4.5 s, in four ways; and slower circles, which show the
+    smallest error.
     """
     curves = needed(lab, "imi-fit", fit)
     result = Result(
@@ -102,7 +103,7 @@ def compensation_values(curves: Result) -> dict[str, Any]:
 
 
 def rms(error: Array) -> Array:
-    """Root mean square of each joint."""
+    """The root mean square of each joint's error."""
     return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 

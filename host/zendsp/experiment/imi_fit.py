@@ -1,5 +1,5 @@
-"""The friction of the planar arm as one curve: two polynomials of speed, joined, through what three
-experiments measured.
+"""Friction of the planar arm as one curve: two polynomials of speed, joined, through the results of
+three experiments.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def _basis(speed: Array, split: float) -> Array:
 
 
 def fit_curve(speed: Array, friction: Array, weight: Array) -> Curve:
-    """Least squares of the joined polynomials; the split is the one of ``SPLITS`` that leaves
-    least.
+    """Least-squares fit of the joined polynomials; of the ``SPLITS`` the one with the smallest
+    residual.
 
     Parameters
     ----------
@@ -96,8 +96,8 @@ def fit_curve(speed: Array, friction: Array, weight: Array) -> Curve:
 
 
 def fit(lab: Lab) -> Result:
-    """One friction curve for each joint from the static, low-speed and viscous experiments; those
-    not yet made are made first.
+    """One friction curve for each joint, from the static, low-speed and viscous experiments; those
+    that are missing are made first.
     """
     static = needed(lab, "imi-static", imi_breakaway.static)
     viscous = needed(lab, "imi-viscous", imi_friction.viscous)

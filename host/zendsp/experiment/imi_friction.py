@@ -1,4 +1,4 @@
-"""Friction of the planar arm that slides: at constant torque, and at low speed."""
+"""Sliding friction of the planar arm: at constant torque, and at low speed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DELAY = 1  # samples from a command to its effect
 
 
 def padded(values: list[float]) -> list[float]:
-    """As long as the program's arrays."""
+    """The values, filled up to the length of the program's arrays."""
     return [*values, *([0.0] * (8 - len(values)))]
 
 
@@ -87,7 +87,7 @@ def viscous(lab: Lab, speeds: tuple[float, ...] = (2.0, 2.5, 3.0, 4.0, 5.0)) -> 
 def _steady(
     bench: Bench, joint: int, direction: int, torque: float, part: tuple[float, float]
 ) -> tuple[float, float, float]:
-    """Mean speed, friction torque and acceleration on a part of the way (rad)."""
+    """Mean speed, friction torque and acceleration over a part of the way (rad)."""
     start = [0.0, 0.0]
     start[joint - 1] = -1.9 * direction
     rec = bench.record(
@@ -129,8 +129,8 @@ def _draw_viscous(
 
 
 def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
-    """Friction at low speed: inverse dynamics with PD along triangular velocity, 0 to 1 rad/s and
-    back, repeated, averaged.
+    """Friction at low speed: inverse dynamics with PD along a triangular velocity, 0 to 1 rad/s and
+    back, repeated and averaged.
     """
     result = Result("imi-low-speed", "Friction of the planar arm at low speed", MACHINE)
     machine = load_machine(MACHINE)
@@ -183,12 +183,11 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
 def friction_curve(
     rec: Recording, joint: int, samples: int, period: int
 ) -> tuple[Array, Array, Mask]:
-    """Speed and friction torque of one joint over one period, averaged over all but the first: tau
-    - M qdd - C.
+    """Speed and friction torque (tau - M qdd - C) of one joint over a period, averaged over all
+    periods but the first; and where the joint loses speed.
 
-    Also, where the joint loses speed: after a reversal bristles bend first, so only then does it
-    surely slide. The average over repetitions is smoothed by a local parabola of 41 ms before it is
-    differentiated.
+    After a reversal bristles bend first; only while it loses speed does the joint surely slide. The
+    average is smoothed by a local parabola of 41 ms before it is differentiated.
     """
     rows = playing(rec, samples)
     q, tau = rec["q"][rows], rec["tau"][rows]

@@ -1,5 +1,5 @@
-"""Where experiments are made: a target, local or remote; a folder that keeps every recording; and a
-way to say what is going on.
+"""The place where experiments are made: a target, local or remote, a folder that keeps every
+recording, and reports of progress.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
 
 
 class Lab:
-    """Opens targets and keeps what they record.
+    """Opens targets and keeps their recordings.
 
     Parameters
     ----------
@@ -66,13 +66,13 @@ class Lab:
 
     @property
     def machine(self) -> str:
-        """Name of the target's machine; "" without one."""
+        """Name of the target's machine; "" where no target was given."""
         return self.target.info.machine if self.target is not None else ""
 
     @contextmanager
     def bench(self, machine: str | None, name: str, **options: Any) -> Iterator[Bench]:
-        """A machine to experiment with. At the end of the block it stands still, and the program of
-        before is loaded again, but not started.
+        """A machine to experiment with. At the end of the block it stands still, and the program
+        that was loaded before is loaded again but not started.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class Lab:
 
 
 class Bench:
-    """One machine on one target, for the length of an experiment."""
+    """One machine on one target, for the duration of an experiment."""
 
     def __init__(self, target: Target, folder: Path, say: Say, enabled: bool = False) -> None:
         self.target, self.folder, self.say = target, folder, say
@@ -156,7 +156,7 @@ class Bench:
 
     @property
     def where(self) -> str:
-        """Which target, which machine, which clock: for the result."""
+        """Target, machine and clock in words, for the result."""
         info = self.target.info
         return (
             f"{info.machine}"
@@ -179,7 +179,7 @@ class Bench:
         command: str = "torque",
         **values: Any,
     ) -> Recording:
-        """Load a program afresh, set its parameters, run it, and keep the recording as
+        """Load a program, set its parameters, run it, and return the recording, which is kept as
         ``name.npz``.
 
         Parameters
@@ -243,7 +243,9 @@ class Bench:
         return recording
 
     def _make_ready(self, name: str) -> None:
-        """Each load forgets the homing, and switches drives off that somebody has enabled."""
+        """Home the machine where the load has forgotten the homing, and enable drives that were
+        enabled before the load.
+        """
         if not self.target.status().homed:
             self.say(f"{name}: homing the machine")
             self.target.home_if_needed()
@@ -257,7 +259,9 @@ class Bench:
         self.recordings.append(place.name)
 
     def _require_command(self, name: str, command: str) -> None:
-        """The machine says what it is once a program is loaded; a slide's force is a torque."""
+        """Refuse a machine that takes another kind of command, which it tells once a program is
+        loaded. The force of a slide counts as a torque.
+        """
         joints = [j for j in self.target.machine().joints if j.command != "none"]
         if not joints:
             raise Refused(f"{name}: needs a joint with a motor, and this machine has none")
@@ -271,7 +275,7 @@ class Bench:
             )
 
     def _keep_part(self, name: str, why: str) -> None:
-        """Keep what was recorded before a run ended early, if it had begun."""
+        """Keep the rows that were recorded before a run ended early, if any."""
         if self.target.status().tick > 0:
             self.target.acquire_stop()
             recording = self.target.acquire_load(f"{name}, ended early: {why}")
@@ -294,13 +298,13 @@ def push_program() -> dict[str, str]:
 
 
 def playing(recording: Recording, samples: int) -> slice:
-    """Rows of a recording in which the reference was played (needs the channel play_time)."""
+    """Rows of a recording during which the reference was played (needs the channel play_time)."""
     first = int(np.argmax(recording["play_time"] >= -1e-9))
     return slice(first, first + samples)
 
 
 def needed(lab: Lab, name: str, make: Callable[[Lab], Result]) -> Result:
-    """The result of another experiment, made in this folder before or made now."""
+    """The result of another experiment, read from this folder or made now."""
     file = lab.folder / name / "result.toml"
     if file.exists():
         return Result.load(file)

@@ -1,4 +1,4 @@
-"""Puts what an experiment found into a model file."""
+"""Puts the result of an experiment into a model file."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _require_joints(machine: str, model: Model, path: str | Path) -> None:
 
 def put_into(result: Result, path: str | Path) -> list[str]:
     """Replace the friction of the joints that were measured, and the mechanism's parameters, by the
-    result; the file is rewritten.
+    result, and rewrite the file.
 
     Parameters
     ----------
@@ -139,5 +139,5 @@ def put_into(result: Result, path: str | Path) -> list[str]:
 
 
 def _of_speed(effect: Effect) -> bool:
-    """Whether it is friction over the speed, which is what the experiments measure anew."""
+    """Whether an effect is friction as a function of speed, which the experiments measure."""
     return effect.mechanism in FRICTION and effect.over == "velocity"

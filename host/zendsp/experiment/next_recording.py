@@ -1,4 +1,4 @@
-"""Runs the recording that a diagnosis proposes on a target, and diagnoses again with it."""
+"""Makes the recording that a diagnosis proposes, on a target, and diagnoses again with it."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def run_next(
 
 
 def _like(recordings: Sequence[str | Path]) -> Recording | None:
-    """The first of the recordings that knows its program."""
+    """The first of the recordings that contains its program."""
     for path in recordings:
         try:
             recording = Recording.load(path)

@@ -35,8 +35,7 @@ def electrical(
     lab: Lab,
     volts: tuple[float, ...] = (7.0, 8.5, 10.0, 12.0, 14.0, 16.0, -7.0, -9.0, -11.0, -13.0, -15.0),
 ) -> Result:
-    """k_a and R_a: at steady speed v/i against qd/i is a straight line of slope k_a and intercept
-    R_a.
+    """k_a and R_a: at steady speed v/i over qd/i is a straight line of slope k_a and intercept R_a.
     """
     result = Result("pendulum-electrical", "Motor of the pendulum", MACHINE)
     points = []
@@ -131,8 +130,8 @@ def pendulum_model(theta: Array) -> Model:
 
 
 def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
-    """theta1 … theta3 from the paper's open-loop torque: the position simulated with them matches
-    the one recorded.
+    """theta1 … theta3 from the paper's open-loop torque, such that the simulated position matches
+    the recorded one.
     """
     result = Result("pendulum-mechanical", "Inertia, gravity and friction of the pendulum", MACHINE)
     with lab.bench(MACHINE, result.name, brake=brake) as bench:
@@ -179,7 +178,9 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
 
 
 def _say(result: Result, spins: float) -> None:
-    """What the numbers are for, and what they are not; ``spins``: from when on, s."""
+    """Add to the result what its numbers are good for and what not; ``spins``: time from which the
+    pendulum spins, s.
+    """
     result.warnings.append(
         "The paper's model has no viscous friction, and this machine has: under its torque the"
         " shaft spins, and three parameters can match the position for about the first second"
@@ -200,7 +201,7 @@ def _say(result: Result, spins: float) -> None:
 
 
 def _mechanical_figure(train: Recording, test: Recording, paper: Array, extended: Array) -> Figure:
-    """Both recordings, and what the two models make of them."""
+    """Draw both recordings and the prediction of both models."""
     figure, axes = make_figure(2, 2, height=2.6, sharex=True)
     for column, (rec, words) in enumerate(
         ((train, "the paper's torque: fitted"), (test, "another torque: held out"))
@@ -229,12 +230,13 @@ def _mechanical_figure(train: Recording, test: Recording, paper: Array, extended
 
 
 def delivered(rec: Recording) -> Recording:
-    """Position, and the command as the drive carries it out: its current loop lags behind the
-    command, and behind the back-EMF, which else passes for inertia.
+    """The position, and the torque that the drive delivers. Its current loop lags behind the
+    command and the back-EMF, which would otherwise be taken for inertia.
 
-    i = (tau - lag d tau/dt - J qdd) / k_a + offset, by least squares on the current sensor: its
-    steps and noise do not enter the torque. It is read at the end of a sample; over the sample the
-    back-EMF takes from it, i = (v - k_b qd) / R_a, and its mean is that of half a sample before.
+    i = (tau - lag d tau/dt - J qdd) / k_a + offset, fitted by least squares to the current sensor,
+    whose steps and noise thus do not enter the torque. The sensor is read at the end of a sample.
+    During the sample the back-EMF reduces the current, i = (v - k_b qd) / R_a, so its mean is that
+    of half a sample before.
     """
     qd = smoothed(rec["q"], SMOOTHED, rec.sample_time, 1)
     qdd = smoothed(rec["q"], SMOOTHED, rec.sample_time, 2, degree=3)
@@ -256,8 +258,8 @@ def _first(rec: Recording, seconds: float) -> Recording:
 
 
 def spinning(rec: Recording) -> tuple[Recording, float]:
-    """What of a recording follows when the shaft turns back no more, and its speed there, rad/s;
-    all of it, from rest, where it never does.
+    """The rows of a recording after the shaft's last reversal, and its speed there, rad/s; where it
+    never spins, all rows, from rest.
     """
     speed = smoothed(rec["q"], SMOOTHED, rec.sample_time, 1)
     rocking = np.flatnonzero(np.abs(speed) < SPINS)
@@ -269,7 +271,7 @@ def spinning(rec: Recording) -> tuple[Recording, float]:
 
 
 def simulated(theta: Array, rec: Recording, speed: float = 0.0) -> Array:
-    """Position under the recorded torque from its first row and that speed on, rad."""
+    """The position under the recorded torque, from the first row and that speed on, rad."""
     out = np.full(len(rec), 1e3)
     q = simulate_loop(
         pendulum_model(theta),
@@ -284,7 +286,7 @@ def simulated(theta: Array, rec: Recording, speed: float = 0.0) -> Array:
 
 
 def begun(theta: Array, rec: Recording, speed: float) -> float:
-    """The speed at the first row with which a position is matched best, near a measured one."""
+    """The speed at the first row with which the position matches best, near a measured one."""
     from scipy import optimize
 
     if not speed:
@@ -298,11 +300,11 @@ def begun(theta: Array, rec: Recording, speed: float) -> float:
 
 
 def fit_parameters(rec: Recording, start: Array, speed: float = 0.0) -> tuple[Array, Array, float]:
-    """Parameters, standard deviations and rms error, by least squares on the position; a ``speed``
+    """Parameters, standard deviations and rms error, by least squares on the position. A ``speed``
     at the first row is fitted too.
 
-    From far off the whole recording misleads: the fit begins with its first half second and
-    lengthens it.
+    From a start value far off, the whole recording would mislead the fit; so it begins with the
+    first half second and lengthens it.
     """
     from scipy import optimize
 

@@ -1,5 +1,5 @@
-"""The pendulum paper's comparison: an optimal swing with friction in its model, open and closed
-loop, and friction at the feedback level.
+"""The pendulum paper's comparison: an optimal swing planned with friction in its model, in open and
+closed loop, and friction compensated by feedback.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ CHANNELS = ("play_time", "q", "qd", "tau", "r", "adc")
 
 
 def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0.08) -> Result:
-    """Swing to upright at least energy: planned with the measured friction and replayed, or planned
-    without and compensated.
+    """Swing to upright with the least energy: planned with the measured friction and replayed, or
+    planned without it and compensated.
     """
     measured = needed(lab, "pendulum-mechanical", mechanical)
     result = Result("pendulum-swing", "Optimal swing of the pendulum, three ways", MACHINE)
@@ -70,7 +70,7 @@ def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0
 
 
 def from_rest(measured: Result, name: str) -> float:
-    """A number of the motion from rest; a result of before has only one of each."""
+    """A number that was measured from rest; an older result has only one of each."""
     return measured.values.get(f"{name}_from_rest", measured.values[name]).value
 
 
@@ -102,7 +102,7 @@ def _measure(result: Result, name: str, rec: Recording, reference: Reference) ->
 
 
 def _draw(recs: dict[str, Recording], with_friction: Reference, without: Reference) -> Any:
-    """Position and speed, torque and measured current; the plans dashed."""
+    """Draw position and speed, torque and measured current; the plans are dashed."""
     figure, axes = make_figure(2, 2, width=11.0, height=2.7, sharex=True)
     (position, speed), (torque, current) = axes
     for plan, colour, name in (

@@ -1,4 +1,4 @@
-"""Plays tables in the loaded program, records, and leaves the program as it was."""
+"""Plays tables in the loaded program, records, and restores the program."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ SLACK_S = 1.0  # of the ring on the real clock, before the switch-over and after
 
 
 class Player:
-    """What is played and recorded.
+    """Plays tables and records.
 
-    On the real clock a program that runs goes on: all switches over in one sample. Else it starts
-    with the recording, and is paused at the end. What was set is put back, however the playing
-    ends: then a program that ran goes on as before. Where it ends early, Ctrl-C too, the machine
-    first comes to rest where it is; a program whose own motion would go on is then paused.
+    On the real clock a running program goes on, and all tables switch over in one sample. Otherwise
+    the program starts with the recording and is paused at the end. What was set is restored however
+    the playing ends; a program that ran then goes on as before. If it ends early, also by Ctrl-C,
+    the machine first comes to rest where it is, and a program that would go on with a motion of its
+    own is paused.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ class Player:
         self._begin = 0  # the sample in which all switches over
 
     def play(self) -> tuple[Recording, int]:
-        """Returns the recording, and the sample in which the tables switched over."""
+        """Return the recording, and the sample in which the tables switched over."""
         target = self._target
         running = target.status().state == ProgramState.RUNNING
         real = target.info.clock == Clock.REAL
@@ -92,7 +93,9 @@ class Player:
         return found
 
     def _come_to_rest(self, before: Before, real: bool, running: bool) -> None:
-        """Hold the machine where it is; pause it when it stands, unless it stood under control."""
+        """Hold the machine where it is. Pause it once it stands, unless the program ran before and
+        followed its table.
+        """
         target = self._target
         if not target.alive:
             return
@@ -113,7 +116,7 @@ class Player:
             target.pause()
 
     def _replace(self, name: str, rows: Floats) -> None:
-        """Send a table as soon as the one before it is in effect."""
+        """Send a table once the one before it is in effect."""
         deadline = time.monotonic() + self._lead
         while True:
             try:
@@ -126,12 +129,14 @@ class Player:
 
     @property
     def _lead(self) -> float:
-        """Time for all tables to be there and to switch over, s; as long again for a busy target.
+        """The time until all tables have been sent and can switch over, s; doubled for a busy
+        target.
         """
         return 2.0 * (LEAD_S + sum(rows.nbytes for rows in self.tables.values()) / SLOWEST)
 
     def _from_the_start(self) -> tuple[Recording, int]:
-        """Start the program together with the recording: the first row is the first sample."""
+        """Start the program together with the recording, whose first row is then the first sample.
+        """
         target = self._target
         if target.status().state == ProgramState.RUNNING:
             target.pause()
@@ -145,7 +150,7 @@ class Player:
         return recording, recording.start_tick
 
     def _while_it_runs(self) -> tuple[Recording, int]:
-        """Switch the tables over while the recorder runs, and keep the rows from there on."""
+        """Switch the tables over while the recorder runs, and keep the rows from that sample on."""
         target, length, rate = self._target, self._seconds, self._target.info.rate_hz
         self._begin = begin = target.status().tick + round(0.5 * self._lead * rate)
         target.update(at_tick=begin, **self.values)  # all in one sample, so that nothing jumps
@@ -164,7 +169,9 @@ class Player:
 
 
 def position(target: Target) -> Assignable:
-    """Where the machine is to stand: by the program, or by the encoders before it has run."""
+    """The position that the machine is to hold: the program's reference, or the encoders' before it
+    has run.
+    """
     status = target.status()
     if status.tick > 0 and "q" in target.variables():
         return target["q"]

@@ -1,4 +1,4 @@
-"""Every experiment by name, in the order in which one builds on another."""
+"""All experiments by name, in the order in which they build on one another."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ class Experiment:
         return self.machine in ("", machine)
 
     def run(self, lab: Lab) -> Result:
-        """Run it. Recordings, figure and ``result.toml`` go to the lab's folder."""
+        """Run it and return its result. Recordings, figure and ``result.toml`` go to the lab's
+        folder.
+        """
         module, name = self.function.split(":")
         make: Callable[[Lab], Result] = getattr(
             importlib.import_module(f"zendsp.experiment.{module}"), name
@@ -113,7 +115,7 @@ EXPERIMENTS = {
 
 
 def run_experiment(name: str, lab: Lab) -> Result:
-    """Make one experiment by name.
+    """Run an experiment by name and return its result.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-"""Writes ``docs/results.md``: what the experiments found, each result beside the paper's, and why
-where they differ.
+"""Writes ``docs/results.md``: the results of the experiments beside those of the papers, and why
+they differ.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ weight and the rotors that the WAM's data sheet lacks.
 
 
 def _judge(r: Result, names: Sequence[str] | None = None) -> str:
-    """How many intervals hold what the machine has, and which do not."""
+    """How many intervals hold the machine's value, and which do not, in a sentence."""
     truth = TRUTH[r.name]
     known = [n for n in (names or truth) if n in r.values and r.values[n].std > 0]
     missed = [n for n in known if abs(r.values[n].value - truth[n]) > NORMAL * r.values[n].std]
@@ -229,7 +229,7 @@ def _circle(r: Result) -> str:
 
 
 def _judge_circle(r: Result) -> str:
-    """What the numbers of the circle say beside the paper's."""
+    """Sentences that compare the circle's errors with the paper's."""
 
     def both(key: str) -> list[float]:
         return [r.values[f"{key}_joint{j}"].value for j in (1, 2)]

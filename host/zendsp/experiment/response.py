@@ -1,4 +1,4 @@
-"""A frequency response: gain and phase line by line, with what can be believed of it."""
+"""A frequency response: gain and phase of each line, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BENT_DB = 0.1  # distortion from which on the summary tells it
 
 @dataclass(frozen=True, repr=False)
 class FrequencyResponse:
-    """What `frequency_response` measured.
+    """The result of `frequency_response`.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class FrequencyResponse:
 
     @property
     def sure(self) -> npt.NDArray[np.bool_]:
-        """Which lines are to be believed: those whose coherence is 0.9 or more."""
+        """Which lines can be trusted: those with a coherence of 0.9 or more."""
         return np.asarray(self.coherence >= SURE)
 
     @property
@@ -81,8 +81,8 @@ class FrequencyResponse:
         return np.asarray(np.degrees(np.unwrap(np.angle(self.gain))))
 
     def bandwidth(self) -> float:
-        """Return the frequency at which the magnitude has fallen by 3 dB from its value at the
-        lowest line, Hz; NaN where it has not.
+        """The frequency at which the magnitude has fallen by 3 dB from its value at the lowest
+        line, Hz; NaN where it has not.
         """
         level = self.magnitude_db - self.magnitude_db[0] + 3.0
         below = np.flatnonzero(level < 0.0)
@@ -94,7 +94,7 @@ class FrequencyResponse:
 
     @classmethod
     def of(cls, recording: Recording) -> FrequencyResponse | None:
-        """Return the response that was measured by a recording; None where it is of something else.
+        """The response that a recording measured; None where the recording is of something else.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class FrequencyResponse:
         )
 
     def rows(self) -> list[dict[str, float]]:
-        """Return one row a frequency: Hz, dB, deg, standard deviations, coherence."""
+        """One row for each frequency: Hz, dB, deg, standard deviations, coherence."""
         spread = self.std / np.abs(self.gain)
         return [
             {
@@ -133,7 +133,7 @@ class FrequencyResponse:
         ]
 
     def summary(self) -> str:
-        """Return one sentence."""
+        """The response in one sentence."""
         unsure = int((~self.sure).sum())
         text = (
             f"{self.output} over {self.input}: {len(self.f)} frequencies from {self.f[0]:.3g} to"
@@ -213,6 +213,6 @@ class FrequencyResponse:
 
 
 def shown_lines(rows: Sequence[Mapping[str, float]]) -> list[list[str]]:
-    """Return the rows as text for a table."""
+    """The rows as text for a table."""
     digits = ("{:.3g}", "{:.2f}", "{:.1f}", "{:.2g}", "{:.2g}", "{:.3f}")
     return [[form.format(v) for form, v in zip(digits, row.values(), strict=True)] for row in rows]

@@ -1,4 +1,4 @@
-"""What an experiment found: values with their uncertainty, terms for a model file, tables,
+"""The result of an experiment: values with their uncertainty, terms for a model file, tables,
 warnings, recordings and a figure.
 """
 
@@ -48,7 +48,7 @@ class FoundEffect:
     parameters: Mapping[str, Estimate]
 
     def table(self) -> dict[str, Any]:
-        """The ``[[effect]]`` of a model file."""
+        """The ``[[effect]]`` table for a model file."""
         parameters = {name: _table(e) for name, e in self.parameters.items()}
         return {"kind": self.kind, "joint": self.joint, **parameters}
 
@@ -160,7 +160,9 @@ def number(row: Row, name: str) -> float:
 
 
 def _mistyped(data: Mapping[str, Any], where: str) -> str:
-    """Say which keys nobody reads; those of values, tables and effects are names."""
+    """A sentence on keys that are not read. Keys of values, tables and effects are names, which may
+    be any.
+    """
     estimates = [
         (f"{where}: [{table}.{name}]", value)
         for table in ("values", "mechanism")
@@ -199,7 +201,7 @@ def _estimate(data: Mapping[str, Any]) -> Estimate:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and containers as TOML takes them (numpy's become Python's)."""
+    """Numbers and containers in types that TOML has."""
     if isinstance(value, Estimate):
         return _table(value)
     if isinstance(value, Mapping):

@@ -1,6 +1,4 @@
-"""Plays a proposed reference on a target and records it under the names that a model gives to its
-columns.
-"""
+"""Plays a proposed reference on a target and records it, in the columns that a model names."""
 
 from __future__ import annotations
 
@@ -23,12 +21,12 @@ REST_S = 0.3  # after the last row
 def run_reference(
     target: Target, reference: Reference, model: Model, like: Recording | None = None
 ) -> Recording:
-    """Play a reference on a target and record what the model's ``[columns]`` name.
+    """Play a reference on a target and record the signals that the model's ``[columns]`` name.
 
     The target's program must follow the table ``ref`` (pd.c, or any program with motion.h). Where
-    it has none loaded, the program and the parameters of an earlier recording are used. A program
-    that runs goes on as before; one that stood is paused afterwards, and its own tables and
-    parameters are put back.
+    none is loaded, the program and the parameters of an earlier recording are used. A program that
+    runs goes on as before; one that stood is paused afterwards, and its own tables and parameters
+    are restored.
 
     Parameters
     ----------
@@ -62,7 +60,7 @@ def run_reference(
 
 
 def _ready(target: Target, model: Model, like: Recording | None) -> None:
-    """See that a program is loaded that can follow a table."""
+    """Make sure that a program is loaded that can follow a table."""
     without = (ProgramState.EMPTY, ProgramState.CRASHED)
     if target.status().state in without and like is not None and like.sources:
         target.download(dict(like.sources), like.flags)
@@ -86,7 +84,7 @@ def _ready(target: Target, model: Model, like: Recording | None) -> None:
 
 
 def _check(target: Target, reference: Reference) -> None:
-    """Position and speed against the limits that the target enforces."""
+    """Refuse a reference whose position or speed is beyond the target's limits."""
     machine, limits = target.machine(), target.limits()
     units = [joint.unit for joint in machine.joints]
     check_fits(reference, machine.name, units)
@@ -107,8 +105,8 @@ def _check(target: Target, reference: Reference) -> None:
 
 
 def _channels(model: Model, names: Any) -> Sequence[str]:
-    """Columns of the model as channels; time comes with every recording, and the reference only
-    where the program tells it.
+    """The channels for the columns of the model. Time is part of every recording; the reference is
+    recorded only where the program has it as a signal.
     """
     channels: list[str] = []
     for role in ("position", "command", "reference"):

@@ -1,4 +1,4 @@
-"""Sweeps: the same seconds of the running program for each of many sets of parameters."""
+"""Sweeps: the same measurement of the running program with each of many sets of parameters."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ def sweep(
     """Try sets of parameters on the running program, one after the other, and measure each.
 
     Each set is faded in: within ``fade`` seconds of the target's time every number goes from its
-    value before to the new one. After gains so weak that the machine lags far behind, strong ones
-    in one sample would pull it back with a jerk. What follows within ``settle`` seconds is not
-    measured. At the end, and after Ctrl-C or an error, the parameters go back as they were in the
-    same way; so they do when this host is lost. Where a limit trips or the program crashes, the
-    sweep ends; the row says why, and ``ended``, also of what came afterwards.
+    value before to the new one. Without it, strong gains after weak ones, with which the machine
+    lags far behind, would pull it back with a jerk. The following ``settle`` seconds are not
+    measured. At the end, and after Ctrl-C or an error, the parameters are restored in the same way;
+    so they are when this host is lost. Where a limit trips or the program crashes, the sweep ends;
+    the row says why, and so does ``ended``, which also tells what came afterwards.
 
-    Every window is another piece of the motion. After the last set the best one is measured twice
-    more. By how much its results differ is told; smaller differences between sets mean nothing. Of
-    a periodic motion let ``seconds`` be whole periods: then all pieces are alike.
+    Each window is another piece of the motion. Therefore the best set is measured twice more after
+    the last; the spread of its results is reported, and smaller differences between sets mean
+    nothing. For a periodic motion choose ``seconds`` as whole periods: then all pieces are alike.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def announced(
     together: bool,
     fade: float = FADE_S,
 ) -> str:
-    """Say how many runs a sweep of these takes, and how long at the least.
+    """A sentence on how many runs a sweep has, and how long it takes at the least.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def _one(
     fade: float,
     tell: Callable[[float], None] | None,
 ) -> tuple[Recording | None, str]:
-    """One run: its recording, and why it ended early."""
+    """The recording of one run, and why it ended early."""
     try:
         target.fade(fade, **run)
         recording = target.acquire(channels, seconds, progress=tell)
@@ -228,7 +228,7 @@ def _one(
 def _part(
     progress: Callable[[float], None] | None, done: int, runs: int
 ) -> Callable[[float], None] | None:
-    """What a run tells of itself, as a part of all runs."""
+    """The progress of one run as part of all runs."""
     if progress is None:
         return None
     tell = progress
@@ -236,13 +236,13 @@ def _part(
 
 
 def _trouble(target: Target) -> str:
-    """Why the program no longer runs by itself; "" where nothing stopped it."""
+    """Why the program has stopped, in a sentence; "" where nothing stopped it."""
     status = target.status()
     return status.crash or (status.trip.text or status.trip.reason if status.trip else "")
 
 
 def _afterwards(target: Target) -> str:
-    """Why the program ends soon after the parameters were put back; "" where it does not."""
+    """Why the program ended soon after the parameters were restored; "" where it goes on."""
     status, deadline = target.status(), time.monotonic() + PATIENCE_S
     end = status.tick + round(WATCH_S * target.info.rate_hz)
     while status.state == ProgramState.RUNNING and status.tick < end:
@@ -271,7 +271,7 @@ def _measured(
 
 
 def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
-    """Read what is to be tried as typed: ``Kp1=500:2500:5``, ``Kd1=60,120``.
+    """The values to try by parameter, from words such as ``Kp1=500:2500:5``, ``Kd1=60,120``.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
 
 
 def values_of(text: str) -> list[float]:
-    """Read values as typed: ``100,200,400``, or ``100:500:5`` for five from 100 to 500.
+    """The values in a text: ``100,200,400``, or ``100:500:5`` for five from 100 to 500.
 
     Raises
     ------

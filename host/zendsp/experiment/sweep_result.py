@@ -1,4 +1,4 @@
-"""What a sweep measured, and which of its runs is best."""
+"""The result of a sweep, and its best run."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class SweepRun:
         return self.results[name] if name in self.results else self.values[name]
 
     def row(self) -> dict[str, Assignable]:
-        """All of it by the names of columns, for a file or JSON."""
+        """Values and results by the names of columns, for a file or JSON."""
         return {**self.values, **self.results, "ended": self.ended}
 
 
 @dataclass(frozen=True, repr=False)
 class Sweep:
-    """What `sweep` measured.
+    """The result of `sweep`.
 
     Attributes
     ----------
@@ -77,8 +77,8 @@ class Sweep:
         return f"{name} [{unit}]" if unit else name
 
     def spread(self, result: str = "") -> float:
-        """Return by how much a result differs where the same values are measured again; NaN where
-        that is not known.
+        """By how much a result differs where the same values are measured again; NaN where that is
+        not known.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class Sweep:
         return max(found) - min(found) if self.again else float("nan")
 
     def best_rows(self, result: str = "") -> list[int]:
-        """Return the numbers of the rows that are as good as `best_row`, at a level of 5 %.
+        """The numbers of the rows that are as good as `best_row`, at a level of 5 %.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class Sweep:
         ]
 
     def best(self, result: str = "") -> SweepRun:
-        """Return the run with the smallest result; `best_rows` has those that are as good.
+        """The run with the smallest result; `best_rows` has those that are as good.
 
         Parameters
         ----------
@@ -131,9 +131,7 @@ class Sweep:
         return self.rows[k]
 
     def best_row(self, result: str = "") -> int | None:
-        """Return the number of the row that `best` returns; None where no run came to its
-        end.
-        """
+        """The number of the row that `best` returns; None where no run was completed."""
         name = result or self.results[0]
         whole = [k for k, row in enumerate(self.rows) if not row.ended]
         return min(whole, key=lambda k: abs(self.rows[k].results[name]), default=None)
@@ -150,7 +148,7 @@ class Sweep:
         return write_rows(path, "a sweep", header, (run.row() for run in self.rows))
 
     def cells(self) -> list[list[str]]:
-        """Return the rows as text."""
+        """The rows as text."""
         digits = {n: digits_of([row.values[n] for row in self.rows]) for n in self.parameters}
         return [
             [
@@ -166,7 +164,7 @@ class Sweep:
         return f"<{self._found()}{end if self.ended else ''}>"
 
     def _found(self) -> str:
-        """What the runs say, in a sentence."""
+        """The result of the sweep in a sentence."""
         done = len(self.rows)
         some = f"{done} of " if done < self.planned else ""
         head = f"Sweep of {some}{counted(max(done, self.planned), 'run')}: "
@@ -194,12 +192,12 @@ class Sweep:
 
 
 def short(value: Any, digits: int = 5) -> str:
-    """Return a value as it stands in a table."""
+    """A value as text for a table."""
     return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 def digits_of(values: Sequence[Any]) -> int:
-    """Return so many that different values are written differently."""
+    """The number of digits with which different values are written differently."""
     different = {v for v in values if isinstance(v, float)}
     enough = (n for n in range(5, 17) if len({f"{v:.{n}g}" for v in different}) == len(different))
     return next(enough, 17)

@@ -1,4 +1,4 @@
-"""Writes rows as CSV, for any tool."""
+"""Writes rows as CSV."""
 
 from __future__ import annotations
 

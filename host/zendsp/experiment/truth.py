@@ -1,5 +1,5 @@
-"""What the simulated machines really have, from their C sources: for reports and for counting how
-often stated intervals hold. No experiment reads it.
+"""The values that the simulated machines have by their C sources, for reports and for counting how
+often stated intervals hold. No experiment reads them.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _PLANAR = TRUTH["imi-viscous"]
 
 
 def _both_ways(found: dict[str, float]) -> dict[str, float]:
-    """With the means of both directions."""
+    """The values, with the means of both directions added."""
     means = {
         name[:-4]: 0.5 * (value + found[f"{name[:-4]}_neg"])
         for name, value in found.items()

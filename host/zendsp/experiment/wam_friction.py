@@ -1,5 +1,5 @@
-"""Friction maps of the WAM: constant-speed moves of each joint both ways, torque and speed
-averaged, least squares for each direction.
+"""Friction of the WAM: each joint moves at constant speeds in both directions; torque and speed are
+averaged and fitted by least squares, for each direction.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def friction(
     narrow: bool = True,
 ) -> Result:
     """Coulomb and viscous friction of every joint and direction, with confidence intervals, beside
-    the paper's table; ``narrow``: what slow speeds alone would say, too.
+    the paper's table. ``narrow``: also the result of slow speeds alone.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def _moves(joint: int, speeds: tuple[float, ...], travel: float) -> Reference:
 
 @dataclass(frozen=True)
 class Sliding:
-    """Means over short pieces of the constant-speed parts of a joint's moves.
+    """Means over short pieces of those parts of a joint's moves that have constant speed.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class Sliding:
     others: float = 0.0
 
     def points(self, friction: Array) -> Array:
-        """Mean speed, mean of ``friction`` and its standard error of each part: rows of three."""
+        """For each part: mean speed, mean of ``friction`` and its standard error, as three rows."""
         rows = []
         for k in np.unique(self.part):
             here = friction[self.part == k]
@@ -147,13 +147,14 @@ class Sliding:
         return np.array(rows)
 
     def places(self) -> npt.NDArray[np.int64]:
-        """Which tenth of the way each piece lies in."""
+        """The tenth of the way in which each piece lies."""
         edges = np.linspace(self.q.min(), self.q.max(), 11)[1:-1]
         return np.digitize(self.q, edges)
 
     def weights(self) -> Array:
-        """One over the scatter of pieces of that speed about a parabola along their part, relative
-        to the largest: short fast parts scatter ten times as much as long slow ones.
+        """The weight of each piece: one over the scatter of pieces of that speed about a parabola
+        along their part, relative to the largest. Short fast parts scatter ten times as much as
+        long slow ones.
         """
         left, pace = np.zeros_like(self.torque), np.zeros_like(self.torque)
         for k in np.unique(self.part):
@@ -171,11 +172,11 @@ class Sliding:
 def constant_speed_pieces(
     rec: Recording, reference: Reference, joint: int, gravity: bool = True
 ) -> Sliding:
-    """The constant-speed parts of a recording, ten pieces each; ``gravity``: the program records as
-    ``g`` what it compensates.
+    """The parts of a recording at constant speed, ten pieces each. ``gravity``: the program records
+    as ``g`` what it compensates.
 
-    The first 30 % of each part are left out: the controller settles there. So is where a speed
-    would be read from the ramp after it, too.
+    The first 30 % of each part are left out, in which the controller settles; so is the end, where
+    a smoothed speed would take in the following ramp.
     """
     rows = playing(rec, reference.samples // rec.decimation)
     q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
@@ -210,7 +211,7 @@ def constant_speed_pieces(
 @dataclass(frozen=True)
 class Friction:
     """Level (N m) and viscous coefficient (N m s/rad) of each direction with 95 % half widths, and
-    those of both directions' mean; what the model's gravity lacks along the way, N m.
+    the means of both directions; and the gravity torque that the model lacks along the way, N m.
     """
 
     value: dict[str, tuple[float, float, float, float]]
@@ -233,14 +234,14 @@ def fit_friction(
     slow: float = 0.0,
     about: bool = False,
 ) -> Friction:
-    """Friction of each direction, and what the gravity compensation lacks, together.
+    """Friction of each direction together with the gravity torque that the compensation lacks.
 
-    The weight of whatever a joint moves is a cos q + b sin q of its own position, whatever its
-    masses; friction is not. ``unknown``: nothing is known of the machine. The inertia is found too,
-    and what the pieces of a part, or of a place, have in common widens the intervals: friction may
-    vary with place. A joint that
-    moves no weight (a vertical axis) has neither. ``slow``: friction falls with speed below this
-    one, in rad/s; ``about``: which is not known well itself.
+    Whatever a joint carries, its weight is a cos q + b sin q of the joint's own position; friction
+    is not of that form. A joint that moves no weight (a vertical axis) has neither term.
+    ``unknown``: nothing is known of the machine. The inertia is fitted too. Friction may vary with
+    place, so the intervals are widened by what pieces of one part, or of one place, have in common.
+    ``slow``: friction falls with speed below this one, rad/s; ``about``: this speed is itself
+    uncertain.
     """
     up = sliding.speed > 0
     columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
@@ -293,7 +294,7 @@ def fit_friction(
 
 
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
-    """Put a joint's friction into the result; the points of its curve."""
+    """Add a joint's friction to the result; return the points of its curve."""
     row: dict[str, int | float | str] = {"joint": joint}
     # about a vertical axis nothing weighs, and the model says so to the last digit
     fitted = fit_friction(sliding, weighs=bool(np.any(sliding.gravity)), unknown=True)
@@ -335,8 +336,8 @@ def friction_effects(joint: int, fitted: Friction) -> list[FoundEffect]:
 
 
 def cannot_separate(viscous: float, half_width: float) -> bool:
-    """Whether a viscous coefficient is negative, or its 95 % interval reaches zero: the speeds tell
-    it from Coulomb friction no more.
+    """Whether a viscous coefficient is negative, or its 95 % interval reaches zero: these speeds
+    then do not separate it from Coulomb friction.
     """
     return bool(viscous - half_width <= 0.0)
 

@@ -1,5 +1,5 @@
-"""The WAM paper's validation: joint error of the arm against that of its simulation, each joint
-alone and all together.
+"""The WAM paper's validation: joint errors of the arm and of its simulation, with each joint alone
+and with all together.
 """
 
 from __future__ import annotations
@@ -64,8 +64,7 @@ def tracking(
 
 
 def measured_model(measured: Result, folder: Path) -> Model:
-    """The WAM's published inertias with the friction that the experiment found (its URDF is written
-    into the folder).
+    """The WAM's published inertias with the measured friction; its URDF is written into the folder.
     """
     machine = load_machine(MACHINE)
     limits = {

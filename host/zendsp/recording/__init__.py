@@ -1,5 +1,5 @@
-"""Recordings: what a run measured, with everything needed to repeat it, and plain tables of other
-people's data.
+"""Recordings: what a run measured, with everything needed to repeat it; and plain tables from other
+programs.
 """
 
 from zendsp.recording.recording import Channel, ParameterChange, Recording

@@ -1,4 +1,4 @@
-"""Cuts a recording: ranges of times out of it, the parts between gaps, rows without numbers."""
+"""Cuts a recording: ranges of time, parts between gaps, and rows without numbers left out."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_parts(
     time: str = "",
     without: Sequence[tuple[float, float]] = (),
 ) -> list[Recording]:
-    """Read a recording as parts that have no gap in time: what ``zendsp cut`` writes.
+    """The parts of a recording that have no gap in time, as ``zendsp cut`` writes them.
 
     Parameters
     ----------
@@ -79,7 +79,8 @@ def read_parts(
 
 
 def _part(rec: Recording, rows: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Recording:
-    """Some rows of a recording, with what is true of them."""
+    """The recording that consists of some rows of another, with the metadata that hold for these.
+    """
     if len(rows) == len(rec):
         return rec
     t, parameters = rec.t[rows], dict(rec.parameters)

@@ -1,4 +1,4 @@
-"""Save and load recordings; the metadata travel as one JSON text in every format."""
+"""Saves and loads recordings; in every format the metadata are one JSON text."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def save(recording: Samples, path: Path) -> Path:
 
 
 def save_anyhow(recording: Samples, path: Path) -> tuple[Path, str]:
-    """Save a recording, which cannot be made again; elsewhere where it cannot be saved there.
+    """Save a recording, which cannot be made again; in another folder where it cannot be saved in
+    the given one.
 
     Parameters
     ----------
@@ -80,14 +81,16 @@ def save_anyhow(recording: Samples, path: Path) -> tuple[Path, str]:
 
 
 def rescue(recording: Samples, name: str) -> Path | None:
-    """Save a recording in a new folder for what is temporary; None where that is full too."""
+    """Save a recording in a new folder for temporary files; return its path, None where that failed
+    too.
+    """
     with suppress(RecordingError, OSError):
         return save(recording, Path(tempfile.mkdtemp(prefix="zendsp-")) / name)
     return None
 
 
 def check_suffix(path: str | Path) -> None:
-    """Refuse a name that no recording can be saved under, before there is one.
+    """Refuse a file name under which no recording can be saved, before there is one.
 
     Raises
     ------
@@ -111,7 +114,7 @@ def _writer(path: Path) -> Callable[[Samples, str, Path], None]:
 
 
 def metadata(recording: Samples) -> str:
-    """Write all but the samples as JSON, in ASCII on one line."""
+    """All but the samples as JSON, in ASCII and on one line."""
     body: dict[str, Any] = {"form": FORM, "channels": [asdict(c) for c in recording.channels]}
     body |= {name: getattr(recording, name) for name in FIELDS}
     body["log"] = [asdict(change) for change in recording.log]
@@ -133,7 +136,7 @@ def _plain(value: Any) -> Any:
 
 
 def load(path: Path, kind: type[Kind], time: str | None = None) -> Kind:
-    """See `Recording.load`. ``time`` is the column of time of other people's data."""
+    """See `Recording.load`. ``time`` is the column of time in a file of another program."""
     raw = read_raw(path)
     return _own(path, raw, kind) if raw.metadata else _foreign(path, raw, kind, time)
 

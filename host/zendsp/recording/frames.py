@@ -1,4 +1,4 @@
-"""A recording as a pandas or xarray object, where these are installed."""
+"""Recordings as pandas or xarray objects, where these are installed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""How a matrix of named columns becomes named signals: ``q[0], q[1]`` is the vector ``q``; ``q1
-[rad]`` has a unit.
+"""From named columns to named signals: ``q[0], q[1]`` is the vector ``q``; ``q1 [rad]`` has a unit.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ QUALIFIERS = {
 
 
 def split_element(name: str) -> tuple[str, int] | None:
-    """Split ``"q[1]"`` into ``("q", 1)``; None where the name is not an element."""
+    """``"q[1]"`` as ``("q", 1)``; None where the name is not an element."""
     match = _ELEMENT.match(name)
     return (match.group(1), int(match.group(2))) if match else None
 
 
 def split_unit(header: str) -> tuple[str, str]:
-    """Split ``"q1 [rad]"``, ``"q1(rad)"``, ``"q1, rad"`` or ``"q1 in rad"`` into name and unit; the
-    unit is empty where none is written. What only says which signal it is stays in the name.
+    """Name and unit of ``"q1 [rad]"``, ``"q1(rad)"``, ``"q1, rad"`` or ``"q1 in rad"``; the unit is
+    empty where none is written. A qualifier such as ``(raw)`` stays in the name.
 
     Examples
     --------
@@ -54,8 +53,8 @@ def split_unit(header: str) -> tuple[str, str]:
 
 
 def split_quotients(headers: Sequence[str]) -> list[tuple[str, str]] | None:
-    """Split headers that are all quantity / unit, as ISO 80000 writes them; None where one is not,
-    since a slash may also part the steps of a path.
+    """Names and units of headers that are all quantity / unit, as ISO 80000 writes them; None where
+    one is not, since a slash may also separate the steps of a path.
 
     Examples
     --------
@@ -68,16 +67,15 @@ def split_quotients(headers: Sequence[str]) -> list[tuple[str, str]] | None:
 
 
 def qualified(header: str) -> str:
-    """What stands in brackets behind a name and is no unit, such as ``raw``; empty where nothing
-    does.
-    """
+    """The text in brackets behind a name if it is no unit, such as ``raw``; else empty."""
     match = _UNIT.match(header)
     words = re.findall(r"[^\W\d_]+", match.group(2).lower()) if match else []
     return match.group(2) if match and words and QUALIFIERS.issuperset(words) else ""
 
 
 def element_names(name: str, width: int) -> list[str]:
-    """Name the columns of a signal: itself where it is one column wide, else ``q[0]``, ``q[1]``, …
+    """The names of a signal's columns: its own name where it has one column, else ``q[0]``,
+    ``q[1]``, …
     """
     return [name] if width == 1 else [f"{name}[{k}]" for k in range(width)]
 
@@ -85,8 +83,8 @@ def element_names(name: str, width: int) -> list[str]:
 def gather_vectors(
     columns: Mapping[str, FloatArray], units: Mapping[str, str]
 ) -> tuple[dict[str, FloatArray], dict[str, str]]:
-    """Join complete runs ``q[0] … q[m-1]`` (m > 1) into one ``(N, m)`` signal ``q``; leave all else
-    as it is.
+    """The columns with complete runs ``q[0] … q[m-1]`` (m > 1) joined into one ``(N, m)`` signal
+    ``q``; others are unchanged.
 
     Parameters
     ----------
@@ -125,8 +123,8 @@ def gather_vectors(
 
 
 def units_in(units: Mapping[str, str], name: str) -> list[str]:
-    """Units of a signal by its name: one, or one for each element of a vector; of ``"q[1]"`` its
-    own.
+    """The units of a signal: one, or one for each element of a vector; for ``"q[1]"`` that of the
+    element.
 
     Examples
     --------
@@ -146,8 +144,7 @@ def _bound(value: object) -> str:
 
 
 def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
-    """Return a signal by name, or one column of a vector by ``"q[1]"``; None where there is
-    neither.
+    """A signal by name, or one column of a vector by ``"q[1]"``; None where there is neither.
 
     Raises
     ------
@@ -172,6 +169,6 @@ def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
 
 
 def listing(names: Sequence[str]) -> str:
-    """Write names into a sentence, cut short where there are very many."""
+    """Names as part of a sentence, cut short where there are very many."""
     more = f", … ({len(names)} in all)" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more or "none"

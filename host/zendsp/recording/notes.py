@@ -1,5 +1,4 @@
-"""What a recording says beside its samples, as JSON holds it: the keys of `Recording.timing` and
-`Recording.extra`, each with its type.
+"""Types of the keys in `Recording.timing` and `Recording.extra`, which a recording holds as JSON.
 """
 
 from __future__ import annotations
@@ -8,7 +7,7 @@ from typing import NotRequired, TypedDict
 
 
 class LoopTiming(TypedDict, total=False):
-    """Timing of the loop, as its target tells it (`zendsp_protocol.messages.Timing`)."""
+    """Timing of the loop, as the target tells it (`zendsp_protocol.messages.Timing`)."""
 
     ticks: int
     overruns: int
@@ -23,9 +22,7 @@ class LoopTiming(TypedDict, total=False):
 
 
 class JointNote(TypedDict):
-    """A joint of the machine (`zendsp_protocol.messages.JointInfo`), of its keys those that are
-    read.
-    """
+    """A joint of the machine: those keys of `zendsp_protocol.messages.JointInfo` that are read."""
 
     name: str
     unit: str
@@ -34,7 +31,7 @@ class JointNote(TypedDict):
 
 
 class MachineNote(TypedDict):
-    """The machine (`zendsp_protocol.messages.MachineInfo`), of its keys those that are read."""
+    """The machine: those keys of `zendsp_protocol.messages.MachineInfo` that are read."""
 
     name: str
     model: str
@@ -51,7 +48,7 @@ class CutNote(TypedDict):
 
 
 class ResponseNote(TypedDict):
-    """A frequency response that the recording gave."""
+    """A frequency response that was computed from the recording."""
 
     f: list[float]  # Hz
     real: list[float]
@@ -73,7 +70,7 @@ class Halving(TypedDict):
 
 
 class SimulationNote(TypedDict):
-    """What a recording says of the simulation that made it."""
+    """How the simulation was made that gave the recording."""
 
     inner: int  # integration steps a sample
     model: str  # its file
@@ -82,7 +79,7 @@ class SimulationNote(TypedDict):
 
 
 class StepCheck(TypedDict):
-    """Whether more steps a sample would still move the positions, as the recording keeps it."""
+    """Whether more integration steps a sample would still move the positions."""
 
     converged: bool
     units: list[str]  # of each joint's position
@@ -91,7 +88,7 @@ class StepCheck(TypedDict):
 
 
 class Extra(TypedDict, total=False):
-    """`Recording.extra`. A user's own keys may stand beside these: they are kept unread."""
+    """`Recording.extra`. A user's own keys may be added; they are kept and not read."""
 
     # of a target
     program: str

@@ -1,4 +1,4 @@
-"""Files that zendsp has written: their description, and numbers that a checksum vouches for."""
+"""Files that zendsp has written: their description, and numbers that are checked by a checksum."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FORM = 1  # version of the layout below; readers refuse what is newer
 def checked(
     path: Path, raw: Raw
 ) -> tuple[dict[str, Any], tuple[Channel, ...], FloatArray, FloatArray]:
-    """Return description, channels, times and rows of a file of zendsp.
+    """Description, channels, times and rows of a file of zendsp.
 
     Raises
     ------
@@ -57,13 +57,13 @@ def checked(
 
 
 def bad_description(path: Path, error: Exception) -> RecordingError:
-    """Return the error for a description that is not as zendsp writes it."""
+    """The error for a description that zendsp would not have written."""
     return RecordingError(f"{path}: its description is damaged ({type(error).__name__}: {error})")
 
 
 def checksum(text: str, t: FloatArray, data: FloatArray) -> str:
-    """SHA-256 of the description and every number; the same in all formats, so not of the file's
-    bytes.
+    """SHA-256 of the description and of every number. It is the same in all formats, and so is not
+    that of the file's bytes.
     """
     digest = hashlib.sha256(text.encode())
     for array in (t, data):

@@ -1,4 +1,4 @@
-"""Quick look at a recording: one panel per unit, all on the same time axis."""
+"""Plots a recording: one panel for each unit, all on the same time axis."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | Non
 
 
 def save_figure(figure: Figure, path: str | Path | None) -> None:
-    """Write a figure as a picture, in a folder that is made where it lacks; None: nowhere.
+    """Write a figure as a picture, and make its folder where it is missing; with None write
+    nothing.
 
     Raises
     ------

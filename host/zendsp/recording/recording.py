@@ -1,5 +1,5 @@
-"""The Recording: samples of chosen signals on one time base, with all that is needed to repeat the
-run, and what is done with them.
+"""The Recording: samples of chosen signals on one time base, with everything needed to repeat the
+run.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Recording(Samples):
         return load(Path(path).expanduser(), cls)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return a pandas DataFrame, one column per element, indexed by ``t`` (needs
+        """A pandas DataFrame, one column for each element, indexed by ``t`` (needs
         ``zendsp[frames]``).
         """
         from zendsp.recording.frames import to_pandas
@@ -124,7 +124,7 @@ class Recording(Samples):
         return to_pandas(self)
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return an xarray Dataset with units as attributes (needs ``zendsp[frames]``)."""
+        """An xarray Dataset with units as attributes (needs ``zendsp[frames]``)."""
         from zendsp.recording.frames import to_xarray
 
         return to_xarray(self)

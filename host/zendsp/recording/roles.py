@@ -1,4 +1,4 @@
-"""What a column probably is, told by its name and its unit."""
+"""What a column probably holds, by its name and its unit."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ ALLOWED = {  # units that a role can have; any where the file states none
 
 
 def role_of(name: str, unit: str = "") -> Role:
-    """What the column ``name [unit]`` probably is; ``Role.NONE`` where neither says.
+    """What the column ``name [unit]`` probably holds; ``Role.NONE`` where neither tells.
 
     Examples
     --------

@@ -1,6 +1,4 @@
-"""Samples of chosen signals on one time base, with all that is needed to repeat the run: what a
-`zendsp.recording.Recording` holds.
-"""
+"""The data of a `zendsp.recording.Recording`: samples of chosen signals on one time base."""
 
 from __future__ import annotations
 
@@ -23,8 +21,8 @@ GAP, GAP_S = 50, 0.1  # samples, and s at least
 
 
 def is_gap(step: float, period: float) -> bool:
-    """Whether the time between two rows is so long, s, beside the usual one that two recordings may
-    be glued together.
+    """Whether the time between two rows, s, is so much longer than usual that two recordings may
+    have been joined there.
     """
     return step > max(GAP * period, GAP_S)
 
@@ -49,7 +47,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """One line of the parameter log: what changed, when, and by whom.
+    """One line of the log of changes: what was changed, when, and by whom.
 
     Attributes
     ----------
@@ -76,8 +74,7 @@ class ParameterChange:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The data of a `zendsp.recording.recording.Recording`, where each field is described.
-    """
+    """The data of a `zendsp.recording.recording.Recording`, which describes each field."""
 
     t: FloatArray
     data: FloatArray
@@ -122,7 +119,7 @@ class Samples:
         units: Mapping[str, str] | None = None,
         **metadata: Any,
     ) -> Self:
-        """Make a recording of arrays, for example of a simulation.
+        """A recording made of arrays, for example of a simulation.
 
         Parameters
         ----------
@@ -212,8 +209,7 @@ class Samples:
         return digest.hexdigest()
 
     def __getitem__(self, name: str) -> FloatArray:
-        """Return channel ``name``, or element ``"q[1]"`` of a vector channel; ``"t"`` is the time
-        base.
+        """Channel ``name``, or element ``"q[1]"`` of a vector channel; ``"t"`` is the time base.
 
         Raises
         ------
@@ -230,7 +226,7 @@ class Samples:
         return values
 
     def keys(self) -> list[str]:
-        """Return ``"t"`` and the name of each column, so that ``dict(rec)`` holds them all.
+        """``"t"`` and the name of each column, so that ``dict(rec)`` holds them all.
 
         Returns
         -------

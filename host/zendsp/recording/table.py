@@ -1,4 +1,4 @@
-"""Plain tables of numbers from files that anyone may have written."""
+"""Plain tables of numbers, from files of any program."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ CONVERSIONS = {  # suffixes of what is not read: the command that makes somethin
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of equal length, as a file gives them.
+    """Columns of equal length, read from a file.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Table:
         return f"<{f'Table {self.path.name}'.rstrip()}: {shown}; {counted(rows, 'row')}>"
 
     def __getitem__(self, name: str) -> FloatArray:
-        """Return a column; ``"q[1]"`` is one column of a vector, ``"q1 [rad]"`` is ``"q1"``.
+        """A column; ``"q[1]"`` is one column of a vector, ``"q1 [rad]"`` is ``"q1"``.
 
         Raises
         ------
@@ -175,7 +175,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
 
 
 def read_raw(path: Path) -> Raw:
-    """Read a file by its suffix, without deciding what it means."""
+    """The contents of a file, read by its suffix, not yet interpreted."""
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
     suffix = _suffix(path)
@@ -275,8 +275,8 @@ def _unit(units: Mapping[str, str], name: str) -> str:
 
 
 def _upright(values: FloatArray) -> FloatArray:
-    """Turn a row or column vector of MATLAB into one dimension, and a wide matrix on its side into
-    samples by rows.
+    """The values with a row or column vector of MATLAB as one dimension, and a matrix that is wider
+    than high turned to samples by rows.
     """
     if values.ndim == 2 and 1 in values.shape:
         return values.reshape(-1)

@@ -1,4 +1,4 @@
-"""Units as people write them, and the factor to SI."""
+"""Units as people write them, and their factors to SI."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def dimension(unit: str) -> dict[str, int] | None:
 
 
 def not_known(unit: str) -> str:
-    """Say of a unit that is not known which ones are."""
+    """A sentence on a unit that is not known, with those that are."""
     return f"the unit {unit!r} is not known. Known are {KNOWN}"
 
 
@@ -202,8 +202,8 @@ def _symbol(text: str) -> tuple[float, str] | None:
 
 
 def unit_in_name(name: str) -> str:
-    """The unit that a name ends in (``theta_deg``, ``theta.deg``, ``thetaDeg``, ``t_ms``); empty
-    where it says none.
+    """The unit in which a name ends (``theta_deg``, ``theta.deg``, ``thetaDeg``, ``t_ms``); empty
+    where it has none.
 
     Examples
     --------

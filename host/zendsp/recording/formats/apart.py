@@ -1,7 +1,7 @@
-"""Reads files in processes of their own, for libraries whose native code a damaged file brings
-down.
+"""Reads files in other processes, for libraries whose native code crashes on a damaged file.
 
-One process loads the library and forks for every file: the second file costs no start.
+One process loads the library and forks for every file, so that only the first file pays for
+loading.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ IDLE = 60.0  # s without a file after which the process that has the library end
 
 
 class _Reader:
-    """The process that has the library of a module, of one process of ours."""
+    """A process that has loaded a module's library, for one process of ours."""
 
     def __init__(self, module: str) -> None:
         self.process = subprocess.Popen(
@@ -45,7 +45,7 @@ class _Reader:
         atexit.register(self.close)
 
     def status(self, path: Path, result: Path) -> int | None:
-        """How the reading of a file ended; None where the process itself is gone."""
+        """The exit status of reading a file; None where the process itself is gone."""
         assert self.process.stdin and self.process.stdout
         try:
             self.process.stdin.write(json.dumps([os.getcwd(), str(path), str(result)]) + "\n")
@@ -72,7 +72,7 @@ _one_at_a_time = threading.Lock()
 
 
 def _ended(module: str, path: Path, result: Path) -> int | None:
-    """How the reading of a file ended, by a reader that is there or a new one."""
+    """The exit status of reading a file, by a reader that exists or a new one."""
     key = (os.getpid(), module)
     with _one_at_a_time:
         for _ in range(2):
@@ -90,7 +90,7 @@ def _ended(module: str, path: Path, result: Path) -> int | None:
 
 
 def read_apart(module: str, path: Path) -> Raw:
-    """What ``module.parse(path)`` returns, in a process that may die.
+    """What ``module.parse(path)`` returns, called in a process that may crash.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def read_apart(module: str, path: Path) -> Raw:
 
 
 def _serve(module: str) -> None:
-    """Fork for each file that is asked for, until nobody asks."""
+    """Fork for each file that is asked for, until the other end closes."""
     reader = import_module(module)
     reader.library()
     while select.select([sys.stdin], [], [], IDLE)[0] and (line := sys.stdin.readline()):
@@ -130,7 +130,7 @@ def _serve(module: str) -> None:
 
 
 def _forked(reader: ModuleType, path: str, result: str) -> None:
-    """Read one file and end; what is said goes beside the result."""
+    """Read one file and end; messages are written beside the result."""
     os.dup2(os.open(f"{result}.said", os.O_WRONLY | os.O_CREAT, 0o600), 2)
     os.dup2(2, 1)
     status = 1

@@ -1,5 +1,5 @@
-"""Logs whose series have clocks of their own, put on one: that of the positions, on which
-everything else is held.
+"""Puts series that have clocks of their own on one clock: that of the positions. The other series
+are held at their newest value.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ def on_one_clock(
 ) -> Raw:
     """One table of all series.
 
-    Its rows are those of the series that holds positions (of the longest, where none does). Of the
-    others each row takes the newest value, as a machine holds its command. Rows before the first or
-    after the last value of a series of any weight are left out.
+    Its rows are those of the series with positions, or of the longest where none has any. For the
+    other series each row takes the newest value, as a machine holds its command. Rows before the
+    first or after the last value of any series but short ones are left out.
 
     Parameters
     ----------
@@ -101,8 +101,8 @@ def _positions(series: Series) -> int:
 
 
 def _names(found: list[Series], prefix: bool) -> dict[tuple[str, str], str]:
-    """Names of columns: their own where no other series has it, else with that of the series before
-    it.
+    """Names of the columns: their own where no other series has it, else with the name of the
+    series before it.
     """
     every = [name for s in found for name in s.columns]
     names = {}

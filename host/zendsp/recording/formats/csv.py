@@ -1,12 +1,12 @@
-"""CSV and TSV: a header of names (``q1`` or ``q1 [rad]``), perhaps a row of units, then rows of
+"""CSV and TSV: a header of names (``q1`` or ``q1 [rad]``), optionally a row of units, then rows of
 numbers.
 
-The first line of a recording is a comment for people. What belongs to the numbers, the
-metadata, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,``
-``;`` and tab are told from the header, where one may stand at the end of each line too; ``;`` with
-decimal commas is understood. A column of dates or times of the day (ISO 8601, or day.month.year)
-becomes seconds since its first; one of nothing but words is left out. Text is UTF-8, UTF-16 with
-its mark, or Windows-1252, as spreadsheets write them. Gzip by suffix ``.gz``.
+In a recording of zendsp the first line is a comment for people, and the last line, a comment too,
+holds the metadata; readers that know ``#`` skip both. The separator, ``,`` ``;`` or tab, is found
+from the header and may also end each line; ``;`` with decimal commas is understood. A column of
+dates or times of day (ISO 8601, or day.month.year) becomes seconds since its first; a column of
+words only is left out. The text is UTF-8, UTF-16 with its mark, or Windows-1252, as spreadsheets
+write. A file ``.gz`` is unpacked.
 """
 
 from __future__ import annotations
@@ -50,8 +50,7 @@ UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def write(recording: Recording, metadata: str, path: Path) -> None:
-    """Write ``recording`` with 17 significant digits, so that reading gives back the same numbers.
-    """
+    """Write ``recording`` with 17 significant digits, so that reading returns the same numbers."""
     units = ["s", *recording.column_units]
     header = [
         f"{n} [{u}]" if u else n for n, u in zip(["t", *recording.columns], units, strict=True)
@@ -64,7 +63,7 @@ def write(recording: Recording, metadata: str, path: Path) -> None:
 
 
 def _title(recording: Recording) -> str:
-    """One line that says what the file is, and where the rest stands."""
+    """A line that says what the file is, and where the metadata are."""
     made = f" of {recording.target}" if recording.target else ""
     rows = len(recording.t)
     apart = float(np.median(np.diff(recording.t))) if rows > 1 else 0.0
@@ -104,7 +103,7 @@ def read(path: Path) -> Raw:
 
 
 def _apart(text: str) -> tuple[str, str]:
-    """The lines before the last, and the metadata, where the last line holds them."""
+    """The lines of numbers, and the metadata where the last line holds them."""
     at = text.rfind(f"\n{MARK}")
     if at < 0 or "\n" in text[at + 1 :].rstrip("\n"):
         return text, ""
@@ -124,7 +123,9 @@ def _text(path: Path) -> str:
 
 
 def _unpacked(path: Path) -> bytes:
-    """A few bytes can hold a thousand times as many: no more is unpacked than there is room for."""
+    """The unpacked bytes of a file; refused where they do not fit into memory, since a few bytes
+    may unpack to a thousand times as many.
+    """
     raw = bytearray()
     with gzip.open(path) as file:
         while piece := file.read(PIECE):
@@ -134,7 +135,9 @@ def _unpacked(path: Path) -> bytes:
 
 
 def _decoded(path: Path, raw: bytes) -> str:
-    """The text; no file states its encoding, and numbers are the same in all but UTF-16."""
+    """The text of a file, whose encoding is guessed. Numbers are the same in all encodings but
+    UTF-16.
+    """
     for encoding in ("utf-16" if raw[:2] in UTF_16 else "utf-8-sig", "cp1252"):
         with contextlib.suppress(UnicodeDecodeError):
             text = raw.decode(encoding)
@@ -183,7 +186,7 @@ def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
 
 
 def _numbers(path: Path, rows: str, raw: Raw, delimiter: str, first_line: int) -> Raw:
-    """Return the columns of the file whose names are the keys of ``raw.units``."""
+    """The columns of the file whose names are the keys of ``raw.units``."""
     names = list(raw.units)
     rows = DAY_FIRST.sub(lambda d: f"{d[3]}-{int(d[2]):02}-{int(d[1]):02}", rows)
     decimal = _decimal(rows[:4096], delimiter)
@@ -208,8 +211,8 @@ def _numbers(path: Path, rows: str, raw: Raw, delimiter: str, first_line: int) -
 
 
 def _decimal(rows: str, delimiter: str) -> str:
-    """What parts whole numbers from fractions: a comma where nothing else explains it, points
-    between thousands (1.234,5) included.
+    """The decimal separator: a comma where nothing else explains it, then with points between
+    thousands (1.234,5); else a point.
     """
     if delimiter == "," or "," not in rows:
         return "."
@@ -222,14 +225,14 @@ def _parts_thousands(text: str) -> bool:
 
 
 def _pointed(text: str) -> str:
-    """Numbers with decimal commas, points between thousands included, as those with points."""
+    """Numbers with decimal points, from those with decimal commas and points between thousands."""
     bare = text.replace(".", "") if _parts_thousands(text) else text
     return bare.replace(",", ".")
 
 
 def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
-    """All columns: NaN for what is empty, ``NA`` or ``null``; dates as seconds; those that hold
-    nothing but words are refused. A word among numbers raises ValueError.
+    """All columns. Empty cells, ``NA`` and ``null`` are NaN, dates are seconds; columns of words
+    only are refused. A word among numbers raises ValueError.
     """
     names = list(raw.units)
     table = [cells for cells in csv.reader(io.StringIO(text), delimiter=delimiter) if cells]
@@ -256,7 +259,7 @@ def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
 
 
 def _seconds(cells: list[str]) -> FloatArray | None:
-    """Seconds since the first, of dates with a time, or times of the day; None of anything else."""
+    """Seconds since the first cell, of dates with a time or times of day; None for other cells."""
     day = "" if "-" in cells[0] else "1970-01-01 "
     try:
         times = [datetime.fromisoformat(day + cell) for cell in cells]
@@ -274,7 +277,7 @@ def _first_fault(
     first_line: int,
     error: Exception,
 ) -> RecordingError:
-    """Find the line that the fast reader refused and say what is wrong with it."""
+    """The error that names the line which the fast reader refused, and what is wrong with it."""
     for number, cells in enumerate(csv.reader(io.StringIO(rows), delimiter=delimiter), first_line):
         above = ""
         if number == first_line:

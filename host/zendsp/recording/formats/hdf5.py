@@ -1,5 +1,5 @@
-"""HDF5 of any origin: every one- or two-dimensional set of numbers is a column; units stand in its
-attributes.
+"""HDF5 from any program: every one- or two-dimensional dataset of numbers is a column; units are in
+its attributes.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def read(path: Path) -> Raw:
 
 
 def leads_out(h5py: Any, group: Any, name: str) -> bool:
-    """Whether what a name stands for is in another file: of whoever reads it, any."""
+    """Whether a name links to another file, which could be any file of the user who reads it."""
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
         return isinstance(link, h5py.ExternalLink)

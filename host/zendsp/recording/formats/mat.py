@@ -109,7 +109,7 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
 
 
 class _Parts:
-    """Turns HDF5 objects as MATLAB writes them into what SciPy returns for version 5."""
+    """Turns the HDF5 objects that MATLAB writes into what SciPy returns for version 5."""
 
     def __init__(self, h5py: Any, file: Any, most: int) -> None:
         self.h5py, self.file, self.left = h5py, file, most

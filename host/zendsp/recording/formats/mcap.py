@@ -1,8 +1,8 @@
-"""MCAP: recordings of zendsp, and of ROS 2 or JSON by anyone.
+"""MCAP: recordings of zendsp, and those of ROS 2 or JSON by other programs.
 
-A recording is one topic whose messages are its rows, in the encoding of ROS 2: doubles in a row, so
-nothing is rounded. The unit of each field stands beside it. Foxglove and PlotJuggler draw it. All
-else that a recording carries stands in the file's metadata.
+A recording is one topic whose messages are its rows, encoded as ROS 2 does: as doubles, so that
+nothing is rounded. The unit of each field is beside it. Foxglove and PlotJuggler draw it. All other
+parts of a recording are in the file's metadata.
 """
 
 from __future__ import annotations
@@ -60,8 +60,7 @@ def write(recording: Recording, metadata: str, path: Path) -> None:
 
 
 def _fields(names: list[str]) -> list[str]:
-    """Names that ROS 2 allows, all different: lower case, beginning with a letter, single
-    underscores.
+    """Different names that ROS 2 allows: lower case, beginning with a letter, single underscores.
     """
     fields: list[str] = []
     for name in names:

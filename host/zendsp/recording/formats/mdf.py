@@ -47,7 +47,7 @@ def read(path: Path) -> Raw:
 
 
 def parse(path: Path) -> Raw:
-    """What `read` returns, in this process."""
+    """The same as `read`, within this process."""
     asammdf = library()
     with asammdf.MDF(path) as file:
         attached = _attached(file)
@@ -81,7 +81,7 @@ def _attached(file: Any) -> str:
 
 
 def _group(file: Any, index: int, group: Any, refused: dict[str, str]) -> list[Series]:
-    """A group's channels; what its samples carry invalidation bits for is NaN there."""
+    """The channels of a group; NaN where a sample is marked invalid."""
     master = file.masters_db.get(index)
     columns, units = {}, {}
     t = None
@@ -109,5 +109,5 @@ def _group(file: Any, index: int, group: Any, refused: dict[str, str]) -> list[S
 
 
 def library() -> Any:
-    """The library; where it is missing, what to install."""
+    """The library asammdf; where it is missing, an error that says what to install."""
     return need("asammdf", "files", "an MDF file", RecordingError)

@@ -28,7 +28,7 @@ def write(recording: Recording, metadata: str, path: Path) -> None:
 
 
 def read(path: Path) -> Raw:
-    """Read any NPZ of numeric arrays; pickled objects are refused, since loading them would run
+    """Read any NPZ of numeric arrays. Pickled objects are refused, since loading them could run
     code.
     """
     columns, constants, refused = {}, {}, {}
@@ -64,7 +64,7 @@ def read(path: Path) -> Raw:
 
 
 def _size(archive: Any, name: str) -> int:
-    """Bytes of an array by its header, which says what is allocated before anything is read."""
+    """Bytes of an array by its header, known before anything is read."""
     headers: Any = np.lib.format
     with archive.zip.open(f"{name}.npy") as member:
         old = headers.read_magic(member) == (1, 0)
@@ -74,7 +74,7 @@ def _size(archive: Any, name: str) -> int:
 
 
 def _units(metadata: str) -> dict[str, str]:
-    """Units of the channels of a recording of zendsp; none of any other file."""
+    """Units of the channels of a recording of zendsp; none for other files."""
     try:
         channels = written.json(metadata)["channels"]
         return {"t": "s", **{str(c["name"]): str(c["unit"]) for c in channels}}

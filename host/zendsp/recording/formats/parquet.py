@@ -67,7 +67,9 @@ def read(path: Path) -> Raw:
 
 
 def _numbers(column: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """The values of a column; pyarrow's own to_numpy imports pandas for them, half a second."""
+    """The values of a column. (pyarrow's own to_numpy would import pandas, which takes half a
+    second.)
+    """
     if column.null_count or not len(column):
         return np.asarray(column.to_numpy())
     values = column.combine_chunks()

@@ -1,4 +1,4 @@
-"""What a file holds before anyone has decided what it means."""
+"""The contents of a file before its columns are interpreted."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SHARE = 0.5  # of the free memory that one file may take: what is made of it tak
 
 @dataclass(frozen=True)
 class Raw:
-    """Named arrays as the file has them.
+    """Named arrays as they are in the file.
 
-    ``columns`` may still differ in length; ``metadata`` is the JSON text that zendsp writes
-    beside its own data, empty in foreign files; ``refused`` names what is there but holds no
-    numbers, with the reason; ``notes`` say what the reader did to the numbers.
+    ``columns`` may still differ in length. ``metadata`` is the JSON text that zendsp writes beside
+    its own data, empty for other files. ``refused`` names contents that are no numbers, with the
+    reason. ``notes`` say what the reader did to the numbers.
     """
 
     columns: dict[str, FloatArray]
@@ -32,7 +32,7 @@ class Raw:
     notes: tuple[str, ...] = ()
 
     def sort(self, name: str, values: Any) -> None:
-        """Keep an array as a column or a constant, or say why it is neither."""
+        """Keep an array as a column or a constant, or note why it is neither."""
         if values.dtype.kind not in "fiub":
             self.refused[name] = "holds text or other things than numbers"
         elif values.size == 0:
@@ -46,7 +46,7 @@ class Raw:
 
 
 def check_room(path: Path, size: int) -> None:
-    """Refuse a file that says it holds more than the computer has room for: a few bytes can say so.
+    """Refuse a file that claims to hold more than fits into memory; a few bytes can claim that.
 
     Parameters
     ----------

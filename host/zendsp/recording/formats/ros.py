@@ -1,5 +1,5 @@
-"""ROS: messages of any type become columns; JointState and its like are told apart by the names of
-their joints.
+"""ROS bags: messages of any type become columns; the elements of JointState and similar messages
+are named after their joints.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ MOST = 200  # numbers in a message; images and point clouds are no signals
 
 
 class Topics:
-    """Gathers messages into one series per topic and layout.
+    """Collects messages into one series for each topic and layout.
 
-    Two publishers on one topic that name other joints are two series.
+    Two publishers on one topic whose messages name different joints make two series.
     """
 
     def __init__(self) -> None:
@@ -31,8 +31,8 @@ class Topics:
         self.refused: dict[str, str] = {}
 
     def add(self, topic: str, stamp_ns: int, message: Any) -> None:
-        """Take one message, received at ``stamp_ns``; its own header's time counts where it has
-        one.
+        """Take one message, received at ``stamp_ns``; the time in its own header is used where it
+        has one.
         """
         if topic in self.refused:
             return
@@ -49,7 +49,7 @@ class Topics:
             rows.append(list(found.values()))
 
     def raw(self, path: Path) -> Raw:
-        """All of it on one clock."""
+        """All series on one clock."""
         series: list[Series] = []
         seen: list[str] = []
         start = min((times[0] for times, _ in self._rows.values()), default=0)
@@ -87,7 +87,7 @@ def read(path: Path) -> Raw:
 
 
 def _header(message: Any) -> int | None:
-    """Time of the message's own header, ns; None where it has none, or has it at 0."""
+    """The time in the message's own header, ns; None where it has none, or 0."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None:
         return None
@@ -96,7 +96,9 @@ def _header(message: Any) -> int | None:
 
 
 def _flatten(message: Any, where: str, found: dict[str, float]) -> None:
-    """Numbers of a message by dotted names; arrays that stand beside names are named by them."""
+    """The numbers of a message by dotted names; elements of arrays beside a list of names get those
+    names.
+    """
     fields = _fields(message)
     names = next((list(value) for key, value in fields if key in NAMES and _strings(value)), [])
     for key, value in fields:

@@ -1,4 +1,4 @@
-"""TDMS of LabVIEW: channels with the unit and the clock that their properties name."""
+"""TDMS of LabVIEW: channels with the unit and the clock that their properties state."""
 
 from __future__ import annotations
 
