@@ -25,6 +25,7 @@ from zendsp.diagnosis.decide.assemble import (
 )
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE, TOLERANCE
+from zendsp.diagnosis.measure import bursts as measure_bursts
 from zendsp.diagnosis.measure import discrepancy as measure_discrepancy
 from zendsp.diagnosis.measure import evidence
 from zendsp.diagnosis.measure.bursts import bursts, periodic
@@ -250,6 +251,22 @@ def test_a_torque_at_most_reversals_is_friction_and_no_disturbance() -> None:
     many = turns[np.random.default_rng(1).random(len(turns)) < 0.45]
     assert found(many, dry=0.0)
     assert not found(many)
+
+
+def test_spikes_once_a_count_of_a_slow_joint_are_no_ringing() -> None:
+    def by_count(samples_a_count: int, torque: np.ndarray) -> float:
+        columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+        columns["q"] = np.floor(np.arange(len(columns["q"])) / samples_a_count) * 0.01
+        record = data_of(columns, model_of(VISCOUS)).records[0][0]
+        return float(np.sum(measure_bursts._by_count(torque[: record.n], record, 24) ** 2))
+
+    spikes = np.zeros(600)
+    spikes[::8] = 0.4
+    steady = 500 * 0.05**2
+    assert by_count(8, spikes) == pytest.approx(steady, rel=0.05)
+    assert by_count(1, spikes) == pytest.approx(8 * steady, rel=0.05)
+    ringing = 0.05 * np.sin(np.arange(600))
+    assert by_count(1, ringing) == pytest.approx(steady / 2, rel=0.05)
 
 
 @pytest.mark.parametrize(("breakaway", "pushed"), [(0.04, True), (0.2, False)])

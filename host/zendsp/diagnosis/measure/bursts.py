@@ -14,6 +14,7 @@ from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.discrepancy import (
     FASTEST,
     band_of,
+    correction_lag,
     kept,
     lacking,
     mean_square,
@@ -22,6 +23,7 @@ from zendsp.diagnosis.measure.discrepancy import (
 from zendsp.diagnosis.measure.neighbours import TURNS_ROUND
 from zendsp.diagnosis.measure.structure import unit
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model
 
@@ -99,12 +101,14 @@ class Bursts:
 @dataclass(frozen=True)
 class _Lacking:
     """The missing torque of a joint: per recording its energy over the observer's memory (n,), the
-    torque, the torque smoothed over that memory, and the samples that count.
+    torque, the same by counts of the sensor, the torque smoothed over that memory, and the samples
+    that count.
     """
 
     data: Data
     levels: tuple[Array, ...]
     lacks: tuple[Array, ...]
+    counted: tuple[Array, ...]
     smooth: tuple[Array, ...]
     used: tuple[slice, ...]
 
@@ -294,6 +298,7 @@ def _lacking(data: Data, model: Model, joint: int) -> _Lacking:
     """The missing torque of a model along recordings."""
     levels: list[Array] = []
     lacks: list[Array] = []
+    counted: list[Array] = []
     smooth: list[Array] = []
     used = []
     for lack, rec in zip(lacking(data, model, joint, LACKING_BAND), data.records, strict=True):
@@ -303,9 +308,23 @@ def _lacking(data: Data, model: Model, joint: int) -> _Lacking:
         window = np.ones(width) / width
         levels.append(np.asarray(np.convolve(lack**2, window, mode="same")[use], float))
         lacks.append(lack[use])
+        counted.append(_by_count(lack, record, width)[use])
         smooth.append(np.asarray(np.convolve(lack[use], window, mode="same"), float))
         used.append(use)
-    return _Lacking(data, tuple(levels), tuple(lacks), tuple(smooth), tuple(used))
+    return _Lacking(
+        data, tuple(levels), tuple(lacks), tuple(counted), tuple(smooth), tuple(used)
+    )
+
+
+def _by_count(lack: Array, record: JointRecord, most: int) -> Array:
+    """A torque, (n,), N m or N, as its mean over the time between two counts of the sensor, over
+    ``most`` samples at most. Where a joint takes several samples for a count, the observer corrects
+    the model in one of them: these spikes would pass for ringing.
+    """
+    counts = np.flatnonzero(np.diff(record.position) != 0) + 1 - correction_lag(record, LACKING_BAND)
+    begins = np.unique(np.concatenate([np.clip(counts, 0, None), np.arange(0, len(lack), most)]))
+    sizes = np.diff(begins, append=len(lack))
+    return np.repeat(np.add.reduceat(lack, begins) / sizes, sizes)
 
 
 def _quiet(parts: Sequence[_Lacking]) -> float:
@@ -348,12 +367,13 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
     inside: list[Array] = []
     outside: list[Array] = []
     energy = [0.0, 0.0]
+    seen = 0.0
     each: list[float] = []
     peaks: list[float] = []
     for acting in parts:
         of = acting.of
-        for high, lack, smooth, use, rec in zip(
-            acting.masks, of.lacks, of.smooth, of.used, of.data.records, strict=True
+        for high, lack, counted, smooth, use, rec in zip(
+            acting.masks, of.lacks, of.counted, of.smooth, of.used, of.data.records, strict=True
         ):
             step, start = rec[joint - 1].sample_time, rec[joint - 1].t0
             change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
@@ -372,8 +392,9 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
             outside.append(smooth[~high])
             energy[0] += float(np.sum(lack[high] ** 2))
             energy[1] += float(np.sum(lack[~high] ** 2))
+            seen += float(np.sum(counted[high] ** 2))
     within, beside = np.concatenate(inside), np.concatenate(outside)
-    steady = float(np.sum(within**2)) / max(energy[0], 1e-300)
+    steady = float(np.sum(within**2)) / max(seen, 1e-300)
     peak = max(peaks, default=0.0)
     within = np.minimum(np.abs(within), peak)
     return Bursts(
