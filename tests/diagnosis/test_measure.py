@@ -262,7 +262,7 @@ def test_spikes_once_a_count_of_a_slow_joint_are_no_ringing() -> None:
 
     spikes = np.zeros(600)
     spikes[::8] = 0.4
-    steady = 500 * 0.05**2
+    steady = 500 * 0.05**2  # the joint's 500 samples
     assert by_count(8, spikes) == pytest.approx(steady, rel=0.05)
     assert by_count(1, spikes) == pytest.approx(8 * steady, rel=0.05)
     ringing = 0.05 * np.sin(np.arange(600))

@@ -321,8 +321,13 @@ def _by_count(lack: Array, record: JointRecord, most: int) -> Array:
     ``most`` samples at most. Where a joint takes several samples for a count, the observer corrects
     the model in one of them: these spikes would pass for ringing.
     """
-    counts = np.flatnonzero(np.diff(record.position) != 0) + 1 - correction_lag(record, LACKING_BAND)
-    begins = np.unique(np.concatenate([np.clip(counts, 0, None), np.arange(0, len(lack), most)]))
+    lag = correction_lag(record, LACKING_BAND)
+    counts = np.flatnonzero(np.diff(record.position)) + 1 - lag
+    begins = np.unique(np.r_[0, counts[counts > 0]])
+    sizes = np.diff(begins, append=len(lack))
+    long = zip(begins[sizes > most], sizes[sizes > most], strict=True)
+    within = [np.arange(a + most, a + n, most) for a, n in long]
+    begins = np.sort(np.concatenate([begins, *within]))
     sizes = np.diff(begins, append=len(lack))
     return np.repeat(np.add.reduceat(lack, begins) / sizes, sizes)
 
