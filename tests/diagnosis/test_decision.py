@@ -9,17 +9,20 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import reality
 from reality import FAST, KNOWN, RATE
+from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import Diagnosis, diagnose, engine
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import detectable as sizes
 from zendsp.diagnosis.decide import laws
+from zendsp.diagnosis.decide import propose as proposal
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.measure import structure as measure_structure
@@ -109,6 +112,36 @@ def test_a_function_of_state_is_seen_where_no_law_resembles_it(
 ) -> None:
     monkeypatch.setattr(decision, "sure", lambda *_: False)  # no law predicts any of it
     assert decided(reality.Machine(swirl=0.008)).verdict != "complete"
+
+
+def test_joints_that_one_torque_over_their_positions_pulls_are_moved_at_the_same_time() -> None:
+    model = model_of(VISCOUS, COULOMB)
+    columns = reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE)
+    record = data_of(columns, model).records[0][0]
+    search: Any = SimpleNamespace(
+        final=SimpleNamespace(data=SimpleNamespace(records=[(record, record)]))
+    )
+    signals: Any = SimpleNamespace(
+        position=np.zeros((10, 2)), command=np.ones((10, 2)), sample_time=1.0 / RATE
+    )
+    given: Any = SimpleNamespace(
+        limits={}, joints=2, joint_kind=lambda j: "linear" if j == 2 else "rotary"
+    )
+
+    def proposed(*mechanisms: str) -> tuple[str, np.ndarray]:
+        found: Any = [
+            SimpleNamespace(effect="unknown", joint=k + 1, mechanism=m)
+            for k, m in enumerate(mechanisms)
+        ]
+        said = proposal._without_rival(signals, given, [search, search], found, [], 0)
+        assert said is not None and said.reference is not None
+        return said.sentence, said.reference[0]
+
+    said, q = proposed("position_torque", "position_torque")
+    assert "record joints 1 and 2 again" in said and "at the same time" in said and " m)" in said
+    assert np.ptp(q, axis=0).min() > 0.1 and abs(np.corrcoef(q.T)[0, 1]) < 0.9
+    said, q = proposed("dry_friction", "position_torque")
+    assert "record joint 1 again" in said and np.ptp(q[:, 1]) == 0
 
 
 def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(

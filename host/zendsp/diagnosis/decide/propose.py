@@ -7,7 +7,7 @@ error is proposed (T-optimality: Hunter and Reiner 1965; Atkinson and Fedorov 19
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.decide.across import PLACE
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import Verdict, dark
+from zendsp.diagnosis.decide.contract import Verdict, dark, listed
 from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
@@ -39,9 +40,11 @@ SEPARATES = 20.0  # least deviance by which a motion separates two hypotheses
 
 
 def motions(
-    record: JointRecord, limits: tuple[float, float], rng: np.random.Generator
+    record: JointRecord, limits: tuple[float, float], rng: np.random.Generator, ahead: float = 0.0
 ) -> dict[str, Array]:
-    """Candidate references of 10 s within position limits and the speeds already seen, rad or m."""
+    """Candidate references of 10 s within position limits and the speeds already seen, rad or m.
+    ``ahead``: the multisine begins this much later in its period, s.
+    """
     period = record.sample_time
     t = np.arange(round(SECONDS / period)) * period
     known = facts(record)  # of all recordings
@@ -70,7 +73,7 @@ def motions(
     def lines(count: int) -> Array:
         k = np.arange(1, count + 1)
         phase = phases[:count] - np.pi * k * (k - 1) / count
-        wave: Array = (np.cos(2 * np.pi * 0.1 * np.outer(t, k) + phase) / k).sum(axis=1)
+        wave: Array = (np.cos(2 * np.pi * 0.1 * np.outer(t + ahead, k) + phase) / k).sum(axis=1)
         return wave
 
     # as many lines as the speed limit allows over the whole range
@@ -137,21 +140,24 @@ def propose(
         )
     name, motion, gain = best
     return _played(
-        train[0], given, finding.joint, motion,
+        train[0], given, {finding.joint: motion},
         f"To tell {finding.effect} from {names} at joint {finding.joint}, record {name} ({{}}): if"
         f" {finding.effect} is true, {rival.effect} will be {gain / 2:.0f} units of log-likelihood"
         " less likely.",
     )  # fmt: skip
 
 
-def _played(signals: Signals, given: Model, joint: int, motion: Array, text: str) -> Next:
-    """The proposal of a motion of one joint while the others stand. It has a reference that a
+def _played(signals: Signals, given: Model, motions: Mapping[int, Array], text: str) -> Next:
+    """The proposal of a motion of some joints while the others stand. It has a reference that a
     program can play, unless the recording had no command.
     """
-    q = np.tile(signals.position.mean(axis=0), (len(motion), 1))
-    q[:, joint - 1] = motion
-    unit = "m" if given.joint_kind(joint) == "linear" else "rad"
-    span = f"{SECONDS:.0f} s, {motion.min():.3g} … {motion.max():.3g} {unit}"
+    q = np.tile(signals.position.mean(axis=0), (len(next(iter(motions.values()))), 1))
+    spans = []
+    for joint, motion in motions.items():
+        q[:, joint - 1] = motion
+        unit = "m" if given.joint_kind(joint) == "linear" else "rad"
+        spans.append(f"{motion.min():.3g} … {motion.max():.3g} {unit}")
+    span = f"{SECONDS:.0f} s, {', '.join(spans)}"
     reference = (q, signals.sample_time) if np.any(signals.command) else None
     return Next(text.format(span), reference)
 
@@ -168,20 +174,31 @@ def _without_rival(
     unseen = dark(
         (d.joint, (d.after.low, d.after.high)) for d in decisions if d.kind == Verdict.COMPLETE
     )
-    lawless = [f.joint for f in findings if f.effect == "unknown"]
-    joint = next(iter(lawless if findings else (*again, *unseen)), 0)
-    if joint:
-        record = searches[joint - 1].final.data.records[0][joint - 1]
-        motion = motions(record, position_limits(given, joint), np.random.default_rng(seed))[OTHER]
+    lawless = [f for f in findings if f.effect == "unknown"]
+    joints = [f.joint for f in lawless] if findings else [*again, *unseen]
+    if joints:
+        # what pulls at several joints may depend on where each of them is
+        pulled = {f.joint for f in lawless if f.mechanism == PLACE} & set(joints)
+        moved = sorted(pulled) if joints[0] in pulled else joints[:1]
+        motion = {
+            j: motions(
+                searches[j - 1].final.data.records[0][j - 1],
+                position_limits(given, j),
+                np.random.default_rng(seed),
+                0.5 * SECONDS * k / len(moved),
+            )[OTHER]
+            for k, j in enumerate(moved)
+        }
+        at_once = " at the same time" if len(moved) > 1 else ""
         why = (
-            f"again through the same states in another order and at other speeds, as {OTHER} does"
-            " ({}): what repeats with the state is physics."
+            f"again through the same states in another order and at other speeds{at_once}, as"
+            f" {OTHER} does ({{}}): what repeats with the state is physics."
             if lawless or again
             else f"for longer, there and back, as {OTHER} does ({{}}): all of its torque could be"
             " unexplained, and these recordings would not show it."
         )
         what = "Of the torque without a law, record" if lawless else "Record"
-        return _played(signals, given, joint, motion, f"{what} joint {joint} {why}")
+        return _played(signals, given, motion, f"{what} {listed(moved)} {why}")
     weak = [
         f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
     ]

@@ -17,6 +17,7 @@ from zendsp.diagnosis.decide.thresholds import (
     BOOTSTRAP_DRAWS,
     EXPLAINS,
     INSEPARABLE,
+    LAW_ERROR,
     STATED_LAW,
     TIED,
 )
@@ -68,13 +69,14 @@ def law_of(
     other = [r.effect != term.effect for r in every]
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
     weights = _weights(scores)
-    after = discrepancy(parts.choose, final.model, joint).value
+    # what no model tells apart, and what every law may be wrong by
+    alike = max(discrepancy(parts.choose, final.model, joint).value, LAW_ERROR * first.size)
     same, lost = [], []
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
         near = (
             behind < INSEPARABLE * first.evidence.gain
-            and difference(parts.choose, rival.scored.model, final.model, joint) < after
+            and difference(parts.choose, rival.scored.model, final.model, joint) < alike
         )
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
