@@ -39,9 +39,7 @@ def only_mechanism(parts: Parts, given: Model, out: Decision, turning: bool) -> 
     order = sorted(alone, key=lambda m: -alone[m].size)
     best = alone[order[0]]
     least = PREDICTED * max(out.state.size, out.before.value) ** 2
-    if best.z < SURE or best.size**2 < least or best.share < PREDICTED:
-        return None
-    if order[0] == "actuator" and best.share < COMMANDED:
+    if best.z < SURE or best.size**2 < least or best.share < _least(order[0]):
         return None
     other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))
     if other.size**2 > RIVAL * best.size**2:
@@ -113,7 +111,17 @@ def told_apart(
     model, joint = decision.base.model, decision.joint
     if laws:
         model = beside_unknown(given, decision.final.model, joint, claim.mechanism, laws)
-    of = {m: structure(parts.each, model, joint, [m]).size ** 2 for m in STRUCTURED}
-    others = max(of[m] for m in STRUCTURED if m not in kind_of(claim.mechanism))
+    of = {m: structure(parts.each, model, joint, [m]) for m in STRUCTURED}
+    own = of[claim.mechanism]
+    if own.share < _least(claim.mechanism):
+        return False
+    others = max(of[m].size for m in STRUCTURED if m not in kind_of(claim.mechanism))
     more = A_PART if decision.state.size < SIMULATORS_DIFFER else 0.0
-    return others <= (1.0 + more) * of[claim.mechanism]
+    return others**2 <= (1.0 + more) * own.size**2
+
+
+def _least(mechanism: str) -> float:
+    """The part of the missing torque's energy that the variables of a mechanism without a law have
+    to predict.
+    """
+    return COMMANDED if mechanism == "actuator" else PREDICTED

@@ -69,14 +69,16 @@ def law_of(
     other = [r.effect != term.effect for r in every]
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
     weights = _weights(scores)
-    # what no model tells apart, and what every law may be wrong by
-    alike = max(discrepancy(parts.choose, final.model, joint).value, LAW_ERROR * first.size)
+    after = discrepancy(parts.choose, final.model, joint).value
+    # any law may be wrong by as much, so a law of another mechanism may be the true one
+    apart = max(after, LAW_ERROR * first.size)
     same, lost = [], []
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
         near = (
             behind < INSEPARABLE * first.evidence.gain
-            and difference(parts.choose, rival.scored.model, final.model, joint) < alike
+            and difference(parts.choose, rival.scored.model, final.model, joint)
+            < (after if mechanism_of(rival.effect) == piece.mechanism else apart)
         )
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
