@@ -26,8 +26,9 @@ from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.notes import MADE_WORSE
-from zendsp.diagnosis.decide.pieces import rms_torque
+from zendsp.diagnosis.decide.pieces import rms_torque, rubs
 from zendsp.diagnosis.decide.pushes import unpushed
+from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
@@ -41,7 +42,7 @@ from zendsp.diagnosis.search.simplify import upon
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.parent import die_with
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model
 
 # gain of creep alone, as a share of the gain of what was found: with less, that was not mistaken
@@ -76,7 +77,10 @@ class Acceptance:
         if before.deviance - rival.value < WAIT:
             return False
         held = compare(before, rival.scored, self.choose, rival.joint)
-        return held.gain > 0 and held.z > 1.0
+        # every machine rubs: such a step has only not to be contradicted
+        expected = get_effect(rival.effect).common and mechanism_of(rival.effect) == DRY
+        expected = expected and not rubs(before.model, rival.joint)
+        return held.gain > 0 and (expected or held.z > 1.0)
 
 
 def plainer(test: Data, given: Model, one: Explained, other: Explained, bodies: int) -> bool:

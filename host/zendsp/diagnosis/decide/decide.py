@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Decision, Piece
+from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, Verdict, contradicted
-from zendsp.diagnosis.decide.findings import new_terms, percent
+from zendsp.diagnosis.decide.findings import estimates, new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.nameless import only_mechanism
 from zendsp.diagnosis.decide.near import nearest_law, with_reasons
@@ -61,13 +61,14 @@ from zendsp.diagnosis.decide.thresholds import (
 from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, informative
+from zendsp.diagnosis.measure.significance import essence_of
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simplify import simplify
-from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.fit import Data, Fit
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Quantity, Term
 
@@ -139,9 +140,11 @@ def _decided(
                 return _decided(parts, given, other, jobs, tell)
             decision = believed(first, parts, given, jobs)
             better = _makes_better(decision, parts.test)
-            if decision.claims and not better and decision.alone is not decision.final:
-                decision = _unrefined_by(decision)
-                better = _makes_better(decision, parts.test)
+            refined = decision.claims and decision.alone is not decision.final
+            if refined and (not better or _blurred(decision, given)):
+                plainer = _unrefined_by(decision)
+                better = _makes_better(plainer, parts.test)
+                decision = plainer
             asked = with_reasons(claimed, rest, first, decision)
             if decision.claims and better:
                 if any(c.effect != "unknown" for c in decision.claims):
@@ -179,6 +182,24 @@ def _unrefined_by(decision: Decision) -> Decision:
     friction is where a slowing joint may or may not stick.
     """
     return replace(decision, final=decision.alone, after=decision.bare, refinements=())
+
+
+def _blurred(decision: Decision, given: Model) -> bool:
+    """Whether a claimed law has an uncertain number beside the refinements, and a certain one
+    without them.
+    """
+    kind = given.joint_kind(decision.joint)
+    units = given.actuator.command_unit, given.torque_unit(decision.joint)
+
+    def certain(fit: Fit, claim: Claim) -> bool:
+        values = estimates(fit, claim.term, kind, *units)
+        own = [values[key] for key in essence_of(claim.effect) if key in values]
+        return all(abs(v.value) > SURE * v.std for v in own)
+
+    laws = [c for c in decision.claims if c.effect != "unknown"]
+    return any(
+        certain(decision.alone.fit, c) and not certain(decision.final.fit, c) for c in laws
+    )
 
 
 def _exchanged(

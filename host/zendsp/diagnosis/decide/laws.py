@@ -276,6 +276,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     The first of them stays as a mechanism without a law, where its variables can be told from
     others' and it explains more than it leaves. The others become refinements.
     """
+    decision = _upon_common(decision, parts, given, jobs)
     twin = twins(decision.claims)
     likely = [
         c
@@ -314,6 +315,34 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     keep, parts_of_it = _beside_unknown(keep, decision.after.value)
     keep = [by_its_variables(c, decision, parts, given) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
+
+
+def _upon_common(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decision:
+    """The decision with a doubted dry friction, where the given model has none, as the law that
+    every machine has and upon which the doubted one stands. That one becomes a refinement.
+    """
+    if rubs(given, decision.joint):
+        return decision
+    claims, refinements = list(decision.claims), list(decision.refinements)
+    for k, claim in enumerate(decision.claims):
+        needs = get_effect(claim.term.effect).needs
+        base = next((r for r in refinements if r.effect in needs), None)
+        if claim.effect == "unknown" or base is None or _is_likely(claim, decision, parts):
+            continue
+        refinements[refinements.index(base)] = claim
+        right = confidence(claim, decision)
+        laws = {base.effect: 1.0 - right, **{n: right * p for n, p in claim.laws.items()}}
+        claims[k] = replace(claim, effect=base.effect, term=base.term, laws=laws, same=base.same)
+    if all(a is b for a, b in zip(claims, decision.claims, strict=True)):
+        return decision
+    alone = _alone(given, decision.final, decision.joint, claims, refinements, jobs)
+    return replace(
+        decision,
+        claims=tuple(claims),
+        refinements=tuple(refinements),
+        alone=alone,
+        bare=discrepancy(parts.test, alone.model, decision.joint),
+    )
 
 
 def _beside_doubted(

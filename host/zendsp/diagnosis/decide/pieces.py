@@ -19,11 +19,13 @@ from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CLAIMED,
     EXPLAINS,
+    FALSE_DISCOVERIES,
     FINEST,
     HANGING,
     LACKED,
     LAW_ERROR,
     LEFT_BY_A_LAW,
+    PLAIN,
     PREDICTED,
     RUN_AWAY,
     STEPPED,
@@ -200,7 +202,8 @@ def piece_of(
     size *= _unseen(test, final.model, terms, joint)
     log_e = log_e_value(held, without, final, test, joint)
     lacks = _lacks(test, without.model, final.model, terms, size)
-    piece = Piece(mechanism, terms, without, size, held, log_e, lacks)
+    expected = mechanism == DRY and not rubs(given, joint)
+    piece = Piece(mechanism, terms, without, size, held, log_e, lacks, expected)
     if not _likely(test, piece) or _even(piece):
         return piece
     return replace(piece, slowly=heard_slowly(without, final, test, joint))
@@ -320,12 +323,14 @@ def sure(test: Data, piece: Piece) -> bool:
 
 def _likely(test: Data, piece: Piece) -> bool:
     """Whether untouched recordings are less likely without a mechanism, and miss its torque."""
-    return piece.log_e > needed(test.joints) and piece.lacks
+    least = -math.log(FALSE_DISCOVERIES) if piece.expected else needed(test.joints)
+    return piece.log_e > least and piece.lacks
 
 
 def _even(piece: Piece) -> bool:
     """Whether a mechanism gains all along the recordings."""
-    return piece.evidence.z > CLAIMED or _often(piece.evidence.blocks) > SURE
+    surely = PLAIN if piece.expected else CLAIMED
+    return piece.evidence.z > surely or _often(piece.evidence.blocks) > SURE
 
 
 def _often(gains: Array) -> float:

@@ -89,10 +89,11 @@ def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
 def slow_limits(facts: Facts) -> tuple[float, float]:
     """Limits of time constants that a recording of this length can show, s.
 
-    A time constant below a twentieth of it acts in at most a seventh of it: that is the start of a
-    recording (robot brakes: 0.34 s of 10 s for a KUKA), not a drift.
+    A time constant below a tenth of it acts in at most a third of it: that is the start of a
+    recording (robot brakes: 0.34 s of 10 s for a KUKA), not a drift. (From a twentieth on, two of
+    its axes had a friction that falls to a quarter within half a second.)
     """
-    return 0.05 * facts.scale.seconds, 5.0 * facts.scale.seconds
+    return 0.1 * facts.scale.seconds, 5.0 * facts.scale.seconds
 
 
 def resonance(facts: Facts, hertz: float, share: float) -> float:
