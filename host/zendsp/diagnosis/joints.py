@@ -26,9 +26,8 @@ from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.notes import MADE_WORSE
-from zendsp.diagnosis.decide.pieces import rms_torque, rubs
+from zendsp.diagnosis.decide.pieces import has, rms_torque
 from zendsp.diagnosis.decide.pushes import unpushed
-from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
@@ -77,10 +76,10 @@ class Acceptance:
         if before.deviance - rival.value < WAIT:
             return False
         held = compare(before, rival.scored, self.choose, rival.joint)
-        # every machine rubs: such a step has only not to be contradicted
-        expected = get_effect(rival.effect).common and mechanism_of(rival.effect) == DRY
-        expected = expected and not rubs(before.model, rival.joint)
-        return held.gain > 0 and (expected or held.z > 1.0)
+        # every machine has friction: such a step has only not to be contradicted
+        own = mechanism_of(rival.effect)
+        expected = get_effect(rival.effect).common and not has(before.model, own, rival.joint)
+        return held.z > (-1.0 if expected else 1.0)
 
 
 def plainer(test: Data, given: Model, one: Explained, other: Explained, bodies: int) -> bool:

@@ -39,8 +39,8 @@ class Piece:
     evidence: Evidence
     log_e: float  # logarithm of the e-value
     lacks: bool = True  # its torque lacks without it
-    # a dry friction where the given model has none: every machine rubs, so this hypothesis was
-    # there before the data, and competes with no other for the false alarms
+    # dry or fluid friction where the given model has none: every machine has both, so the
+    # hypothesis was there before the data, and competes with no other for the false alarms
     expected: bool = False
     slowly: float = 0.0  # z of the evidence by slower observers, where the fit's are unsure
     why: str = field(default="", compare=False)  # reason that it is not claimed

@@ -137,7 +137,10 @@ def _decided(
             first = named(parts, given, search, final, claimed, rest, before, jobs, tell)
             other = _exchanged(parts, search, final, first, jobs)
             if other is not None:
-                return _decided(parts, given, other, jobs, tell)
+                exchanged = _decided(parts, given, other, jobs, tell)
+                # a likelier law has to stand on untouched recordings, too
+                if exchanged.claims or not first.claims:
+                    return exchanged
             decision = believed(first, parts, given, jobs)
             better = _makes_better(decision, parts.test)
             refined = decision.claims and decision.alone is not decision.final

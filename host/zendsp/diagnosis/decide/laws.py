@@ -313,7 +313,9 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
             more.append(replace(claim, why=why))
             doubted.add(claim.mechanism)
     keep, parts_of_it = _beside_unknown(keep, decision.after.value)
-    keep = [by_its_variables(c, decision, parts, given) for c in keep]
+    # beside a law of the one friction, what lacks of the other has its own name
+    rubbing = {c.mechanism for c in keep if c.effect != "unknown"} & set(FRICTION)
+    keep = [c if rubbing else by_its_variables(c, decision, parts, given) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
 
 

@@ -202,7 +202,7 @@ def piece_of(
     size *= _unseen(test, final.model, terms, joint)
     log_e = log_e_value(held, without, final, test, joint)
     lacks = _lacks(test, without.model, final.model, terms, size)
-    expected = mechanism == DRY and not rubs(given, joint)
+    expected = mechanism in FRICTION and not has(given, mechanism, joint)
     piece = Piece(mechanism, terms, without, size, held, log_e, lacks, expected)
     if not _likely(test, piece) or _even(piece):
         return piece
@@ -406,7 +406,12 @@ def dry_torque(data: Data, model: Model, joint: int) -> float:
 
 def rubs(model: Model, joint: int) -> bool:
     """Whether a model has dry friction at a joint."""
-    return any(mechanism_of(t.effect) == DRY for t in model.at(joint))
+    return has(model, DRY, joint)
+
+
+def has(model: Model, mechanism: str, joint: int) -> bool:
+    """Whether a model has a law of a mechanism at a joint."""
+    return any(mechanism_of(t.effect) == mechanism for t in model.at(joint))
 
 
 def kind_of(mechanism: str) -> frozenset[str]:
