@@ -589,7 +589,8 @@ def test_a_piece_is_not_worth_more_than_all_that_was_found(
     terms = (Term("viscous", 1, {"coefficient": Quantity(380.0)}),)
 
     def asked() -> Piece:
-        return pieces.piece_of(test, Any, final, "fluid_friction", terms, base, 1)  # type: ignore[arg-type]
+        given: Any = SimpleNamespace(at=lambda _: ())
+        return pieces.piece_of(test, given, final, "fluid_friction", terms, base, 1)  # type: ignore[arg-type]
 
     assert (asked().without, asked().size) == (base, 0.6)
     new.append(Term("quadratic_drag", 1, {"coefficient": Quantity(1.0)}))

@@ -323,27 +323,26 @@ def _upon_common(decision: Decision, parts: Parts, given: Model, jobs: int) -> D
     """The decision with a doubted dry friction, where the given model has none, as the law that
     every machine has and upon which the doubted one stands. That one becomes a refinement.
     """
-    if rubs(given, decision.joint):
-        return decision
     claims, refinements = list(decision.claims), list(decision.refinements)
     for k, claim in enumerate(decision.claims):
         needs = get_effect(claim.term.effect).needs
         base = next((r for r in refinements if r.effect in needs), None)
-        if claim.effect == "unknown" or base is None or _is_likely(claim, decision, parts):
+        if claim.effect == "unknown" or base is None or rubs(given, decision.joint):
             continue
-        refinements[refinements.index(base)] = claim
-        right = confidence(claim, decision)
-        laws = {base.effect: 1.0 - right, **{n: right * p for n, p in claim.laws.items()}}
-        claims[k] = replace(claim, effect=base.effect, term=base.term, laws=laws, same=base.same)
+        if not _is_likely(claim, decision, parts):
+            right = confidence(claim, decision)
+            laws = {base.effect: 1.0 - right, **{n: right * p for n, p in claim.laws.items()}}
+            claims[k] = replace(
+                claim, effect=base.effect, term=base.term, laws=laws, same=base.same
+            )
+            refinements[refinements.index(base)] = claim
     if all(a is b for a, b in zip(claims, decision.claims, strict=True)):
         return decision
-    alone = _alone(given, decision.final, decision.joint, claims, refinements, jobs)
+    joint = decision.joint
+    alone = _alone(given, decision.final, joint, claims, refinements, jobs)
+    bare = discrepancy(parts.test, alone.model, joint)
     return replace(
-        decision,
-        claims=tuple(claims),
-        refinements=tuple(refinements),
-        alone=alone,
-        bare=discrepancy(parts.test, alone.model, decision.joint),
+        decision, claims=tuple(claims), refinements=tuple(refinements), alone=alone, bare=bare
     )
 
 

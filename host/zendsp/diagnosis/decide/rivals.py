@@ -71,14 +71,14 @@ def law_of(
     weights = _weights(scores)
     after = discrepancy(parts.choose, final.model, joint).value
     # any law may be wrong by as much, so a law of another mechanism may be the true one
-    apart = max(after, LAW_ERROR * first.size)
+    wrong = max(after, LAW_ERROR * first.size)
     same, lost = [], []
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
+        least = after if mechanism_of(rival.effect) == piece.mechanism else wrong
         near = (
             behind < INSEPARABLE * first.evidence.gain
-            and difference(parts.choose, rival.scored.model, final.model, joint)
-            < (after if mechanism_of(rival.effect) == piece.mechanism else apart)
+            and difference(parts.choose, rival.scored.model, final.model, joint) < least
         )
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)

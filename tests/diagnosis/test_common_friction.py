@@ -1,0 +1,226 @@
+"""Friction that every machine has, where the given model has none of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_laws import claim_of, of_one_claim
+
+from zendsp.diagnosis import joints
+from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import laws, nameless, pieces
+from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, needed
+from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.result import Estimate
+from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.structure import Structure
+from zendsp.diagnosis.search.hypothesis import Rival
+from zendsp.physics.effects import get_effect
+from zendsp.physics.effects.axes import slow_limits
+from zendsp.physics.model import Quantity, Term
+
+
+def model(*effects: str) -> Any:
+    """A model with these effects at joint 1."""
+    terms = tuple(Term(e, 1, {"level": Quantity(1.0)}) for e in effects)
+    return SimpleNamespace(at=lambda joint: terms if joint == 1 else (), terms=terms)
+
+
+@pytest.mark.parametrize(
+    ("effect", "given", "z", "goes_on"),
+    [
+        ("coulomb", (), 0.0, True),
+        ("coulomb", (), -2.0, False),  # contradicted
+        ("coulomb", ("viscous",), 0.0, True),
+        ("viscous", ("coulomb",), 0.0, True),
+        ("coulomb", ("stribeck",), 0.0, False),  # it has a dry friction
+        ("ripple", (), 0.0, False),  # not every machine has one
+        ("ripple", (), 1.5, True),
+    ],
+)
+def test_the_search_goes_on_with_a_missing_common_friction_unless_it_is_contradicted(
+    effect: str, given: tuple[str, ...], z: float, goes_on: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(joints, "compare", lambda *_: Evidence(10.0 * z, z, np.zeros(1)))
+    before: Any = SimpleNamespace(deviance=0.0, model=model(*given))
+    better: Any = SimpleNamespace(deviance=-500.0)
+    asked = joints.Acceptance(SimpleNamespace())  # type: ignore[arg-type]
+    assert asked(before, Rival(effect, 1, better, 0.0, (), ())) is goes_on
+
+
+@pytest.mark.parametrize(
+    ("z", "log_e", "sure"), [(2.2, 4.0, True), (1.9, 4.0, False), (2.2, 2.9, False)]
+)
+def test_a_common_friction_that_the_model_lacks_needs_less_evidence(
+    z: float, log_e: float, sure: bool
+) -> None:
+    test: Any = SimpleNamespace(joints=6)
+    assert log_e < needed(6)
+    term = Term("coulomb", 1, {})
+    evidence = Evidence(100.0, z, np.array([1.0, -1.0]))
+    piece = Piece("dry_friction", (term,), None, 0.3, evidence, log_e, expected=True)  # type: ignore[arg-type]
+    assert pieces.sure(test, piece) is sure
+    assert not pieces.sure(test, replace(piece, expected=False))
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"), [((), True), (("viscous",), True), (("viscous", "coulomb"), False)]
+)
+def test_only_friction_that_the_given_model_lacks_is_expected(
+    given: tuple[str, ...], expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scored: Any = SimpleNamespace(deviance=0.0, model=model())
+    monkeypatch.setattr(pieces, "_without", lambda *_: scored)
+    monkeypatch.setattr(pieces, "difference", lambda *_: 0.1)
+    monkeypatch.setattr(pieces, "compare", lambda *_: Evidence(9.0, 9.0, np.ones(4)))
+    monkeypatch.setattr(pieces, "log_e_value", lambda *_: 9.0)
+    monkeypatch.setattr(pieces, "_lacks", lambda *_: True)
+    test: Any = SimpleNamespace(joints=1)
+    terms = (Term("coulomb", 1, {}),)
+    found = pieces.piece_of(test, model(*given), scored, "dry_friction", terms, scored, 1)
+    assert found.expected is expected
+
+
+def doubted(effect: str, monkeypatch: pytest.MonkeyPatch) -> Decision:
+    """A claim of which 53 in 100 are right, with Coulomb friction among its refinements."""
+    monkeypatch.setattr(laws, "confidence", lambda *_: 0.53)
+    monkeypatch.setattr(laws, "_is_likely", lambda c, *_: c.effect == "coulomb")
+    monkeypatch.setattr(laws, "_goes_on", lambda *_: np.inf)
+    monkeypatch.setattr(laws, "_alone", lambda *_: SimpleNamespace(model=None))
+    monkeypatch.setattr(laws, "discrepancy", lambda *_: "bare")
+    claim = replace(claim_of(Term(effect, 1, {}), 0.28), laws={effect: 1.0})
+    found = of_one_claim(claim, 0.3, 0.04, SimpleNamespace(model=model()))
+    coulomb = replace(claim_of(Term("coulomb", 1, {}), 0.08), same=("coulomb_asymmetry",))
+    return replace(found, refinements=(coulomb,))
+
+
+@pytest.mark.parametrize(("given", "stated"), [((), "coulomb"), (("coulomb",), "")])
+def test_a_doubted_stribeck_curve_of_a_model_without_dry_friction_is_coulomb_friction(
+    given: tuple[str, ...], stated: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Axis 3 of a KUKA KR300, all dry friction taken out of its model: 28 % of the torque, sure by
+    13 standard deviations, and no law was stated.
+    """
+    monkeypatch.setattr(laws, "_turns_otherwise", lambda *_: True)
+    parts: Any = SimpleNamespace(test=None)
+    found = laws.believed(doubted("stribeck", monkeypatch), parts, model(*given), 1)
+    assert [c.effect for c in found.claims] == [stated] * bool(stated)
+    if stated:
+        (claim,) = found.claims
+        assert claim.size == 0.28 and claim.same == ("coulomb_asymmetry",)
+        assert claim.laws == pytest.approx({"coulomb": 0.47, "stribeck": 0.53})
+        assert [c.effect for c in found.refinements] == ["stribeck"]
+
+
+def test_a_fluid_friction_without_a_law_keeps_its_name_beside_a_dry_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Axis 1 of that robot without any friction had two findings of dry friction."""
+    drag, dry = (
+        replace(claim_of(Term(e, 1, {}), size), laws={e: 1.0})
+        for e, size in (("viscous_asymmetry", 0.5), ("coulomb", 0.7))
+    )
+    monkeypatch.setattr(laws, "_is_likely", lambda c, *_: c.effect == "coulomb")
+    monkeypatch.setattr(laws, "_goes_on", lambda *_: np.inf)
+    monkeypatch.setattr(laws, "told_apart", lambda *_: True)
+    monkeypatch.setattr(laws, "_without_others", lambda *_: None)
+    monkeypatch.setattr(laws, "_beside_doubted", lambda *_: {})
+    renamed: list[Claim] = []
+    monkeypatch.setattr(laws, "by_its_variables", lambda c, *_: renamed.append(c) or c)
+    found = replace(of_one_claim(drag, 1.0, 0.1), claims=(drag, dry))
+    outcome = laws.believed(found, None, model(), 1)  # type: ignore[arg-type]
+    assert [(c.effect, c.mechanism) for c in outcome.claims] == [
+        ("unknown", "fluid_friction"), ("coulomb", "dry_friction"),
+    ]  # fmt: skip
+    assert not renamed
+    laws.believed(replace(found, claims=(drag,)), None, model(), 1)  # type: ignore[arg-type]
+    assert renamed
+
+
+@pytest.mark.parametrize(
+    ("beside", "alone", "blurred"), [(150.0, 6.0, True), (20.0, 6.0, False), (150.0, 60.0, False)]
+)
+def test_refinements_that_make_a_claimed_number_uncertain_are_left_out(
+    beside: float, alone: float, blurred: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Axis 6: 108 ± 6 N m of Coulomb friction became 289 ± 150 beside a drift, and was no finding.
+    """
+    stds = {"final": beside, "alone": alone}
+    monkeypatch.setattr(
+        decision, "estimates", lambda fit, *_: {"level": Estimate(108.0, stds[fit], "N m")}
+    )
+    claim = claim_of(Term("coulomb", 1, {}), 0.5)
+    found: Any = SimpleNamespace(
+        joint=1, claims=(claim,), final=SimpleNamespace(fit="final"),
+        alone=SimpleNamespace(fit="alone"),
+    )  # fmt: skip
+    given: Any = SimpleNamespace(
+        joint_kind=lambda _: "rotary", torque_unit=lambda _: "N m",
+        actuator=SimpleNamespace(command_unit="N m"),
+    )  # fmt: skip
+    assert decision._blurred(found, given) is blurred
+
+
+def test_what_acts_in_the_first_second_of_ten_is_the_start_and_no_drift() -> None:
+    facts: Any = SimpleNamespace(scale=SimpleNamespace(seconds=10.0))
+    assert slow_limits(facts)[0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "share", "apart"),
+    [
+        ("ripple", 0.6, True), ("ripple", 0.47, False),
+        ("dead_zone", 0.92, True), ("dead_zone", 0.6, False),  # the command follows what is borne
+    ],
+)  # fmt: skip
+def test_a_doubted_mechanism_is_stated_only_where_its_variables_predict_most_of_what_lacks(
+    effect: str, share: float, apart: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = claim_of(Term(effect, 1, {}), 0.4)
+    seen = {get_effect(effect).mechanism: Structure(0.3, share, 4.0)}
+    monkeypatch.setattr(
+        nameless, "structure", lambda *to, **_: seen.get(to[-1][0], Structure(0.0, 0.0, 0.0))
+    )
+    base: Any = SimpleNamespace(model=model())
+    found = of_one_claim(claim, 0.33, 0.21, base)
+    parts: Any = SimpleNamespace(each=())
+    assert nameless.told_apart(claim, found, parts, model(), ()) is apart
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_a_likelier_law_that_untouched_recordings_do_not_show_takes_no_place(
+    stands: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Axis 5: a hysteresis was likelier than Coulomb friction, which untouched recordings showed
+    by 7.9 standard deviations; with the hysteresis nothing was claimed.
+    """
+    first, likelier = (
+        of_one_claim(claim_of(Term(e, 1, {}), 0.3), 0.3, 0.1, SimpleNamespace(model=model()))
+        for e in ("coulomb", "hysteresis")
+    )
+    searches: list[Any] = [SimpleNamespace(joint=1, base=first.base, name=n) for n in ("a", "b")]
+    nothing = replace(first, kind=Verdict.UNEXPLAINED, claims=())
+    for name, answer in {
+        "worth_choosing": first.final, "discrepancy": first.before, "new_terms": ["some"],
+        "grouped": {}, "with_reasons": [], "_makes_better": True, "beside": None,
+        "_nothing_named": nothing, "find_sounder": None, "_blurred": False,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
+    monkeypatch.setattr(
+        decision, "held_apart",
+        lambda parts, given, search, *_: (["it"] if stands or search.name == "a" else [], []),
+    )  # fmt: skip
+    by_name = {"a": first, "b": likelier}
+    monkeypatch.setattr(decision, "named", lambda parts, given, search, *_: by_name[search.name])
+    monkeypatch.setattr(
+        decision, "_exchanged",
+        lambda parts, search, *_: searches[1] if search.name == "a" else None,
+    )  # fmt: skip
+    monkeypatch.setattr(decision, "believed", lambda found, *_: found)
+    parts: Any = SimpleNamespace(each=[], test=None)
+    found = decision._decided(parts, model(), searches[0], 1, lambda _: None)
+    assert [c.effect for c in found.claims] == ["hysteresis" if stands else "coulomb"]
