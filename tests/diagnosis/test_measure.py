@@ -253,6 +253,20 @@ def test_a_torque_at_most_reversals_is_friction_and_no_disturbance() -> None:
     assert not found(many)
 
 
+@pytest.mark.parametrize(
+    ("share", "part", "scattered"),
+    [
+        (0.9, 0.05, False),
+        (0.5, 0.05, True),  # 4 times what is outside
+        (0.53, 0.008, False),  # 12 times
+    ],
+)
+def test_a_push_that_stands_far_out_may_hold_less_of_what_lacks(
+    share: float, part: float, scattered: bool
+) -> None:
+    assert measure_bursts._scattered(share, part) is scattered
+
+
 def test_spikes_once_a_count_of_a_slow_joint_are_no_ringing() -> None:
     def by_count(samples_a_count: int, torque: np.ndarray) -> float:
         columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
@@ -269,13 +283,19 @@ def test_spikes_once_a_count_of_a_slow_joint_are_no_ringing() -> None:
     assert by_count(1, ringing) == pytest.approx(steady / 2, rel=0.05)
 
 
-@pytest.mark.parametrize(("breakaway", "pushed"), [(0.04, True), (0.2, False)])
-def test_no_push_is_claimed_below_the_torque_of_a_sticking_stribeck_friction(
-    breakaway: float, pushed: bool
+@pytest.mark.parametrize(
+    ("breakaway", "times", "pushed"),
+    [
+        (0.04, (2.0, 3.0, 5.0, 6.0), True),
+        (0.2, (2.0, 3.0, 5.0, 6.0), False),
+        (0.2, (2.0, 3.0), True),  # it would stick more than once
+    ],
+)
+def test_no_pushes_are_claimed_below_the_torque_of_a_sticking_stribeck_friction(
+    breakaway: float, times: tuple[float, ...], pushed: bool
 ) -> None:
-    columns = reality.simulate(
-        reality.Machine(push=(0.1, 2.0, 3.0)), reality.multisine(9.0, RATE, 3), RATE
-    )
+    machine = reality.Machine(push=(0.1, *times))
+    columns = reality.simulate(machine, reality.multisine(9.0, RATE, 3), RATE)
     falling = {"kind": "stribeck", "joint": 1, "breakaway": breakaway, "velocity": 0.002}
     model = model_of(VISCOUS, COULOMB, falling)
     data = data_of(columns, model)

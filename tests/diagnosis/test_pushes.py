@@ -200,6 +200,12 @@ def test_physics_missing_beside_a_push_is_found_in_the_other_times(decided: Deci
     assert (begin, end) == (pytest.approx(4.0, abs=0.15), pytest.approx(5.0, abs=0.15))
 
 
+def test_a_small_push_beside_a_finding_is_noted_with_its_times(decided: Decided) -> None:
+    d = decided(reality.Machine(push=(0.006, 2.0, 3.0)), reality.Machine(), KNOWN[0])
+    assert [f.effect for f in d.findings] == ["coulomb"]
+    assert "that no state explains: a push" in d.unexplained, d.unexplained
+
+
 def test_a_push_beside_a_finding_is_reported(decided: Decided, bench: Decided) -> None:
     """The missing dry friction is found at the times without a push."""
     pushed = reality.Machine(push=(0.08, 4.0, 6.0))

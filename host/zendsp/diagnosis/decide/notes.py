@@ -317,9 +317,9 @@ def _not_searched(decision: Decision) -> str:
 
 
 def _bending(joint: int, push: Bursts, unit: str) -> str:
-    """The note of a push in the recordings of the fit, beside what is claimed."""
+    """The note of a push beside what is claimed."""
     return (
-        f"Joint {joint}: in the recordings of the fit a torque of up to {two_digits(push.peak)}"
-        f" {unit} acts at {spans(push.intervals, push.recordings)} that no state explains: a push"
-        " bends the numbers of what was found"
+        f"Joint {joint}: a torque of up to {two_digits(push.peak)} {unit} acts at"
+        f" {spans(push.intervals, push.recordings)} that no state explains: a push, which bends the"
+        " numbers of what was found if it is in a recording of the fit"
     )

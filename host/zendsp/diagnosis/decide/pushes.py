@@ -12,7 +12,7 @@ from dataclasses import replace
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.pieces import dry_torque
+from zendsp.diagnosis.decide.pieces import dry_torque, rubs
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     ASTRAY,
@@ -154,17 +154,17 @@ def of_a_law(pushed: Decision, laws: Sequence[Model], parts: Parts) -> bool:
 
 
 def beside(decision: Decision, parts: Parts) -> Bursts | None:
-    """The push in the recordings of the fit, beside what is claimed."""
+    """The push in the recordings of the fit, or a small one anywhere, beside what is claimed."""
     model, joint = decision.final.model, decision.joint
     if discrepancy(parts.fit, model, joint).value < LAWFUL:
-        return None
+        return felt(decision, parts, not rubs(model, joint))
     return in_fit(parts, model, joint)
 
 
 def felt(out: Decision, parts: Parts, turning: bool) -> Bursts | None:
-    """The push that is too small for a finding, where nothing is claimed; it is noted."""
-    model, joint = out.base.model, out.joint
-    lacks = max(out.before.value, discrepancy(parts.fit, model, joint).value)
+    """The push that is too small for a finding; it is noted."""
+    model, joint = out.final.model, out.joint
+    lacks = max(out.after.value, discrepancy(parts.fit, model, joint).value)
     if out.kind == Verdict.DISTURBANCE or beyond(lacks, out.known.all) < FELT:
         return None
     found = in_held(parts, model, joint, OFTEN) or in_fit(parts, model, joint)
