@@ -11,11 +11,13 @@ import pytest
 import reality
 from small_models import VISCOUS, data_of, model_of
 
+from zendsp.diagnosis import engine
 from zendsp.diagnosis.decide import absorbed, patchwork, pushes
-from zendsp.diagnosis.decide.claims import Claim
-from zendsp.diagnosis.decide.contract import nameless, spans
+from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.decide.rivals import _likelier
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
 from zendsp.diagnosis.measure.where import Missing, energy, located
@@ -220,6 +222,60 @@ def test_an_inertia_that_unrecorded_commands_between_rows_can_explain_is_no_find
     whole: Any = SimpleNamespace(improved=improved)
     claims = absorbed.shifted(given, search, whole, (), data)
     assert [f.effect for _, _, f in claims] == (["inertia"] if found else [])
+
+
+@pytest.mark.parametrize(
+    ("time", "std", "size", "found"),
+    [
+        (0.0012, 1e-6, 0.01, True),
+        (0.0005, 1e-6, 0.01, False),  # a given lag is hardly better known
+        (0.0012, 4e-4, 0.01, False),  # within three deviations
+        (0.0012, 1e-6, 0.002, False),  # as much as simulators differ
+        (0.0012, 1e-6, None, False),  # not surely better
+    ],
+)
+def test_a_lag_that_has_taken_up_a_delay_is_a_finding(
+    time: float, std: float, size: float | None, found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A delay of 0.8 ms was "complete", since the given lag of 0.4 ms had become 1.2 ms."""
+
+    def with_lag(value: float) -> Any:
+        return model_of(VISCOUS, {"kind": "lag", "joint": 1, "time_constant": value})
+
+    given, after = with_lag(0.0004), with_lag(time)
+    lag = after.terms[-1]
+    known = replace(lag.parameters["time_constant"], std=std)
+    lag = replace(lag, parameters={"time_constant": known})
+    after = after.with_terms((*after.terms[:-1], lag))
+    monkeypatch.setattr(absorbed, "_size", lambda *_: size)
+    decided: Any = SimpleNamespace(joint=1, alone=SimpleNamespace(model=after))
+    whole: Any = SimpleNamespace(improved=after)
+    test: Any = SimpleNamespace(records=())
+    claims = absorbed.shifted(given, decided, whole, (), test)
+    assert [(f.effect, f.indistinguishable) for _, _, f in claims] == [("lag", ("delay",))] * found
+    assert not absorbed.shifted(given, decided, whole, ("delay",), test), "one finding of it"
+
+
+@pytest.mark.parametrize(
+    ("refines", "before", "kind"),
+    [(True, 0.01, "unexplained"), (True, 0.0002, "complete"), (False, 0.01, "missing")],
+)
+def test_a_joint_whose_only_claim_may_be_nothing_says_that_something_is_left(
+    refines: bool, before: float, kind: str
+) -> None:
+    """A constant torque of 0.04 % was a friction of 15.92 and 16.08 N m, which is no asymmetry; the
+    report said "unexplained", and not what.
+    """
+    scored: Any = SimpleNamespace(deviance=0.0)
+    left = Size(before, 0.9 * before, 1.1 * before)
+    nothing = Structure(0.0, 0.0, 0.0)
+    asymmetry = claim("coulomb_asymmetry", level_pos=15.92, level_neg=16.08)
+    decided = Decision(
+        1, Verdict.MISSING, (asymmetry,), (), scored, scored, left, left, nothing, left, scored, 1.0
+    )
+    refinement: Any = SimpleNamespace(effect="coulomb_asymmetry", joint=1)
+    assert engine._unnamed(decided, (), (refinement,) * refines).kind == kind
+    assert engine._unnamed(decided, (refinement,), (refinement,)) is decided
 
 
 def test_a_law_of_another_mechanism_takes_the_place_of_one_that_it_is_far_likelier_than() -> None:

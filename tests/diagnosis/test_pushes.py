@@ -201,7 +201,7 @@ def test_physics_missing_beside_a_push_is_found_in_the_other_times(decided: Deci
 
 
 def test_a_small_push_beside_a_finding_is_noted_with_its_times(decided: Decided) -> None:
-    d = decided(reality.Machine(push=(0.006, 2.0, 3.0)), reality.Machine(), KNOWN[0])
+    d = decided(reality.Machine(push=(0.01, 2.0, 3.0)), reality.Machine(), KNOWN[0])
     assert [f.effect for f in d.findings] == ["coulomb"]
     assert "that no state explains: a push" in d.unexplained, d.unexplained
 

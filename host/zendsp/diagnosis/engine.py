@@ -20,7 +20,7 @@ from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import halves, read_divided
 from zendsp.diagnosis.decide.absorbed import moved
-from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.contract import Rejected, Verdict
 from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
@@ -41,7 +41,9 @@ from zendsp.diagnosis.decide.result import (
     Next,
     Workings,
 )
+from zendsp.diagnosis.decide.thresholds import FINEST
 from zendsp.diagnosis.machine import Found, Stopped, find
+from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.where import Missing, Region, Times, located
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.progress import Progress, Step
@@ -151,6 +153,8 @@ def _diagnose(
     found, clocks = _by_one_clock(found)
     parts, decisions, whole = found.parts, found.decisions, found.whole
     findings, refinements, rejected = _name(found, given)
+    decisions = [_unnamed(d, findings, refinements) for d in decisions]
+    found = replace(found, decisions=decisions)
     looked = _Looked(decisions)
     try:
         if not stopped:
@@ -261,6 +265,19 @@ def _by_one_clock(found: Found) -> tuple[Found, list[str]]:
         for d in found.decisions
     ]
     return replace(found, decisions=decisions), [sentence for _, sentence in said]
+
+
+def _unnamed(
+    decision: Decision, findings: Sequence[Finding], refinements: Sequence[Finding]
+) -> Decision:
+    """The decision of a joint whose claims became refinements, as their numbers may be nothing."""
+    refines = {r.effect for r in refinements if r.joint == decision.joint}
+    claimed = {c.effect for c in decision.claims}
+    if not claimed or not claimed <= refines or any(f.joint == decision.joint for f in findings):
+        return decision
+    small = beyond(decision.before.value, decision.known.all) < FINEST
+    out = unclaimed(decision, "its number may be nothing")
+    return replace(out, kind=Verdict.COMPLETE) if small else out
 
 
 def _verdict(

@@ -142,12 +142,14 @@ class Decision:
     searched: bool = True  # not where the search was ended before this joint
 
 
-def unclaimed(decision: Decision) -> Decision:
-    """The decision without its claims, as they make the whole machine predict untouched recordings
-    worse. The torque that they explained stays unexplained.
+WORSE = "with it the whole machine predicts untouched recordings worse"
+
+
+def unclaimed(decision: Decision, why: str = WORSE) -> Decision:
+    """The decision without its claims, for this reason. The torque that they explained stays
+    unexplained.
     """
     gained = 0.5 * (decision.base.deviance - decision.final.deviance)
-    why = "with it the whole machine predicts untouched recordings worse"
     laws = [c.effect for c in decision.claims if c.effect != "unknown"]
     lost = (
         Rejected(effect, decision.joint, f"{NOT_SURELY}: {why}", gained, Reason.NEAR)

@@ -56,6 +56,7 @@ from zendsp.diagnosis.search.screen import FIRST_ORDER, Screen, phase_of
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
 from zendsp.physics.calibration.handles import get_values, set_values
+from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, library, mechanism_of, unit_of
 from zendsp.physics.model import Model, Term
@@ -134,6 +135,9 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
             size = implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
         if size is None:
             continue
+        if effect.least is not None:  # the search takes no smaller one
+            least = effect.least(facts(screen.records[0])).get(_key(effect), 0.0)
+            size = max(size, (least, size[1] * least / size[0]))
         parameter = effect.parameter(_key(effect))
         most = max(r.scale.of(parameter.size) for r in screen.records)
         if size[0] > (FIRST_ORDER if parameter.size == "time" else most):
