@@ -283,8 +283,10 @@ def _later(
     joint, out = decision.joint, []
     for effect, key in TIMES.items():
         both = [[t for t in m.at(joint) if t.effect == effect] for m in (given, whole.improved)]
+        if any(len(terms) != 1 for terms in both):
+            continue
         alone = [t for t in decision.alone.model.at(joint) if t.effect == effect]
-        if any(len(terms) != 1 for terms in (*both, alone)):
+        if len(alone) != 1:
             continue
         before, after = (terms[0].parameters[key] for terms in both)
         amount = after.value - before.value
