@@ -1,6 +1,4 @@
-"""Which bytes of a terminal are STOP, and which are not; and keys typed before their dialog is
-there.
-"""
+"""Which bytes of a terminal are STOP, and which are not."""
 
 from __future__ import annotations
 

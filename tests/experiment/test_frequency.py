@@ -1,4 +1,4 @@
-"""Frequency responses and sweeps: estimators on known systems, and both on a real target."""
+"""Frequency responses: the estimator on known systems, and on a real target."""
 
 from __future__ import annotations
 
