@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from inspect import CO_OPTIMIZED
 from itertools import groupby
 from pathlib import Path
 from types import FrameType
@@ -35,7 +36,8 @@ def watched(met: Met, below: Path) -> Iterator[Callable[[bool], None]]:
             return
         code = frame.f_code
         file, name = code.co_filename, code.co_qualname
-        ours = file.startswith(str(below)) and ".venv" not in file and "<" not in name
+        function = code.co_flags & CO_OPTIMIZED and "<" not in name  # no module, no class, no inner
+        ours = function and file.startswith(str(below)) and ".venv" not in file
         if ours and file != __file__ and threading.current_thread().name not in ASIDE:
             thread = threads.setdefault(threading.get_ident(), len(threads))
             met.setdefault((file, name), thread)
