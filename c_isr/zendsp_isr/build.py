@@ -37,7 +37,7 @@ _SHARED = ("-shared", "-fPIC", "-Wl,-z,defs", "-Wl,-z,now", "-Wl,-Bsymbolic")
 
 @dataclass(frozen=True)
 class Built:
-    """What a build gave: the file (None if it failed), its key, messages, duration in s, and
+    """The result of a build: the file (None if it failed), its key, messages, duration in s, and
     whether it came from the cache.
     """
 
@@ -97,7 +97,7 @@ def cache_root() -> Path:
 
 
 def _prune(folder: Path) -> None:
-    """Drop what has not been used for longest, and what a compiler that was killed left behind."""
+    """Remove what has not been used for longest, and what a killed compiler left behind."""
     results = sorted(
         (p for p in folder.iterdir() if p.suffix != ".json" and p.is_file()),
         key=lambda p: p.stat().st_mtime,
@@ -114,7 +114,7 @@ def _prune(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Hold a folder, that no other process takes it for abandoned: a clock may jump by years.
+    """Lock a folder, so that no other process takes it for abandoned; a clock may jump by years.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def _headers(folders: Sequence[Path]) -> dict[str, bytes]:
 def content_key(
     kind: str, sources: Mapping[str, bytes], headers: Mapping[str, bytes], words: Sequence[str]
 ) -> str:
-    """Hash that names a build.
+    """The hash that names a build.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def build(
     libraries: Sequence[str] = ("-lm",),
     timeout_s: float = 60.0,
 ) -> Built:
-    """Compile sources into one shared object or program.
+    """Compile sources into one shared object or program, or take it from the cache.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def build(
 
 @contextlib.contextmanager
 def _workplace(folder: Path) -> Iterator[Path]:
-    """A folder for the length of one compilation."""
+    """A folder for the duration of one compilation."""
     work = Path(tempfile.mkdtemp(prefix="build-", dir=folder))
     try:
         with _locked(work):
@@ -244,7 +244,7 @@ def _workplace(folder: Path) -> Iterator[Path]:
 
 
 def _included(sources: Mapping[str, bytes]) -> set[str]:
-    """C files that another one includes: they are compiled within it."""
+    """C files that another one includes; they are compiled as part of it."""
     return {
         found
         for name, text in sources.items()
@@ -262,7 +262,9 @@ def _compile(
     timeout_s: float,
     target: Path,
 ) -> tuple[bool, tuple[Message, ...]]:
-    """Make ``target``, and its notes beside it."""
+    """Compile ``target`` and write its messages beside it; return whether it succeeded, and the
+    messages.
+    """
     with _workplace(target.parent) as work:
         for name, content in sources.items():
             (work / name).write_bytes(content)

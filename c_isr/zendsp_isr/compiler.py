@@ -52,7 +52,7 @@ _PARTS = ("bin", "include", "lib", "lib32", "lib64", "libexec", f"{os.uname().ma
 
 @dataclass(frozen=True)
 class Compiler:
-    """A command that compiles C, and what it calls itself.
+    """A command that compiles C, with its version.
 
     Parameters
     ----------
@@ -152,8 +152,8 @@ def run_compiler(
     timeout_s: float = 60.0,
     readable: Sequence[Path] = (),
 ) -> Outcome:
-    """Run the compiler in processes of its own: limited in time, memory, files and messages, and
-    shut off from other files.
+    """Run the compiler in other processes, limited in time, memory, files and messages, and without
+    access to other files.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ class _Ended:
 def _run(
     command: Sequence[str], cwd: Path, environment: Mapping[str, str], timeout_s: float
 ) -> _Ended:
-    """The command to its end, or to a limit; nothing of its process group is left."""
+    """Run the command to its end or to a limit; no process of its group is left."""
     text = bytearray()
     too_long = f"the compiler did not finish within {timeout_s:g} s and was stopped"
     began = time.monotonic()
@@ -280,13 +280,13 @@ def _wants(session: int) -> bool:
 
 
 def _computed(session: int) -> float:
-    """CPU time of a session, s, with that of its processes that have ended."""
+    """CPU time of a session, s, including its processes that have ended."""
     ticks = sum(int(part) for fields in _of(session) for part in fields[11:15])
     return float(ticks) / os.sysconf("SC_CLK_TCK")
 
 
 def _too_much(session: int, cwd: Path) -> str:
-    """Which limit of a compilation as a whole is passed, in words; empty where none is."""
+    """The limit of a compilation that is exceeded, in words; empty where none is."""
     of_session = _of(session)
     processes, pages = len(of_session), sum(int(fields[21]) for fields in of_session)
     size = 0
@@ -314,7 +314,7 @@ def _toolchain(compiler: Compiler) -> list[str]:
 
 
 def _zig(compiler: Compiler) -> dict[str, str]:
-    """Zig compiles its own libraries once and keeps them."""
+    """The environment for zig, which compiles its own libraries once and keeps them."""
     if Path(compiler.command[0]).resolve().name != "zig":
         return {}
     folder = Path(os.environ.get("ZIG_GLOBAL_CACHE_DIR") or Path.home() / ".cache" / "zig")
@@ -323,8 +323,8 @@ def _zig(compiler: Compiler) -> dict[str, str]:
 
 
 def _inside(files: set[str], cwd: Path, folders: Sequence[Path]) -> set[str]:
-    """Those of the files that are of the upload or the toolchain: a message about another would
-    show what stands there.
+    """The files that belong to the upload or the toolchain. A message about another file would show
+    its contents.
     """
     real = [folder.resolve() for folder in folders]
     return {
@@ -335,7 +335,9 @@ def _inside(files: set[str], cwd: Path, folders: Sequence[Path]) -> set[str]:
 
 
 def _reason(text: str) -> str:
-    """Why it failed, in our words: its own may quote a file that is not the user's."""
+    """Why the compilation failed, in our own words; the compiler's may quote a file that is not the
+    user's.
+    """
     if "out of memory" in text or "memory exhausted" in text or "std::bad_alloc" in text:
         return f": it needs more than the {_MAX_MEMORY >> 20} MB that a compilation may take"
     if "relocation truncated" in text:

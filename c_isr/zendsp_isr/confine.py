@@ -94,7 +94,7 @@ def restrict(readable: Sequence[str], writable: Sequence[str]) -> bool:
 
 
 def seclude(paths: Sequence[str], cwd: str, program: str) -> bool:
-    """Give this process and its children a root in which these paths stand, and nothing else.
+    """Give this process and its children a root that holds these paths and nothing else.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def seclude(paths: Sequence[str], cwd: str, program: str) -> bool:
 
 
 def _bring(libc: ctypes.CDLL, path: str, root: str) -> None:
-    """Show a path in a new root, with the links on the way to it."""
+    """Mount a path in a new root, with the links on the way to it."""
     real = "/"
     for name in path.strip("/").split("/"):
         step = os.path.join(real, name)

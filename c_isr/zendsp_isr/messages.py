@@ -1,4 +1,4 @@
-"""What a compiler says, as messages with file, line and column."""
+"""Reads a compiler's messages, with file, line and column."""
 
 from __future__ import annotations
 
@@ -105,14 +105,14 @@ def parse_messages(text: str) -> tuple[Message, ...]:
 
 
 def between(message: Message) -> bool:
-    """Whether a message of the assembler is about the file that the compiler handed to it, which
-    the user never sees.
+    """Whether a message of the assembler is about the intermediate file of the compiler, which the
+    user never sees.
     """
     return message.file.endswith(_BETWEEN)
 
 
 def without_between(message: Message) -> Message:
-    """Return such a message without that file."""
+    """Such a message without the name of that file."""
     if not between(message):
         return message
     return replace(message, file="", line=0, message=f"in an asm statement: {message.message}")
@@ -129,8 +129,8 @@ def _in_our_words(message: Message) -> Message:
 
 
 def where_it_lacks(message: Message, sources: Mapping[str, bytes]) -> Message:
-    """Return a message about a missing semicolon with the place where it belongs: behind a macro
-    gcc names the next word, perhaps of another line, perhaps internal to isr.h.
+    """A message about a missing semicolon, with the place where it belongs: after a macro gcc names
+    the next word, perhaps on another line, perhaps within isr.h.
     """
     source = sources.get(message.file, b"")
     if not message.message.startswith(_SEMICOLON) or not 0 < len(source) <= _LONGEST:

@@ -1,4 +1,4 @@
-"""What a target is made of, compiled: the native runner, the monitor's half, the machines."""
+"""Compiles the parts of a target: the native runner, the monitor's helper, the machines."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def build_monitor() -> Path:
 
 
 def machine_source(machine: str) -> Path:
-    """Return the C file of a machine: a shipped one by its name, or a path.
+    """The C file of a machine: a shipped one by its name, or a path.
 
     Raises
     ------
@@ -143,8 +143,8 @@ def is_model(machine: str) -> bool:
 
 
 def with_remedy(said: str, model: str) -> str:
-    """What MuJoCo says of a model that it does not compile, with what to do where it does not say
-    that.
+    """MuJoCo's message on a model that it does not compile, with what to do where the message does
+    not say so.
 
     Examples
     --------
@@ -173,7 +173,7 @@ def machine_title(machine: str) -> str:
 
 
 def _expand(path: Path) -> str:
-    """What to do with a description that xacro has yet to make a URDF of."""
+    """What to do with a description from which xacro has yet to make a URDF."""
     urdf = Path(path.name.removesuffix(".xacro")).with_suffix(".urdf")
     urdf = urdf if urdf.name != path.name else urdf.with_stem(f"{urdf.stem}_expanded")
     return (
@@ -183,14 +183,14 @@ def _expand(path: Path) -> str:
 
 
 def _is_xacro(path: Path) -> bool:
-    """Whether a URDF still has in it what xacro replaces."""
+    """Whether a URDF still contains parts that xacro replaces."""
     text = path.read_text(errors="replace") if path.suffix.lower() == ".urdf" else ""
     return _XACRO.search(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)) is not None
 
 
 def _build_mujoco(machine: str) -> Path:
-    """The machine that runs any model, linked to MuJoCo's library of the installed package; Python
-    loads nothing of it.
+    """The machine that runs any MuJoCo model, linked to the library of the installed package;
+    Python itself loads nothing of it.
     """
     if not Path(machine).is_file():
         raise CompileFailed(f"{machine}: no such file: give the path of a MuJoCo model")

@@ -1,6 +1,4 @@
-"""Finds control programs: the one way in which every command and every function turns a name into
-sources.
-"""
+"""Finds control programs: all commands and functions turn a name into sources by this module."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ def shipped_programs() -> list[Path]:
 
 
 def find_program(name: str | Path) -> Path:
-    """Return the file that a name means: a path, or else the shipped program of that bare name.
+    """The file that a name means: a path, or else the shipped program of that name.
 
     Returns
     -------
@@ -69,7 +67,7 @@ def found_or_shipped(name: str | Path, shipped: Iterable[Path]) -> Path | None:
 
 
 def gather(source: Source) -> dict[str, str]:
-    """Read a program and the headers beside it into a mapping of file name to text.
+    """The sources of a program and of the headers beside it, by file name.
 
     Parameters
     ----------

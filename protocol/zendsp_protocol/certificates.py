@@ -1,4 +1,4 @@
-"""What certificates (PEM) say of themselves, by the standard library alone."""
+"""Reads what certificates (PEM) state, with the standard library alone."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def ended(path: str) -> str:
 
 
 def unfit(certificate: str, key: str) -> bool:
-    """Return whether a private key belongs to another certificate."""
+    """Whether a private key belongs to another certificate."""
     try:
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(certificate, key, lambda: "")
     except (OSError, ssl.SSLError):

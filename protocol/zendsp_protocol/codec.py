@@ -1,5 +1,5 @@
-"""MessagePack there and back, checked against the declared types; nothing half-read reaches a
-handler.
+"""Packs and unpacks MessagePack, checked against the declared types; a handler never gets half a
+message.
 
 ``msgpack`` packs and unpacks the bytes, ``msgspec.convert`` checks what came out of them.
 """
@@ -48,7 +48,7 @@ def encode(message: Any) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Turn what MessagePack does not know into what it does, one level deep."""
+    """A value in types that MessagePack has, one level deep."""
     if isinstance(value, msgspec.Struct):
         return msgspec.structs.asdict(value)
     if dataclasses.is_dataclass(value):
@@ -69,12 +69,12 @@ def decode(data: bytes, kind: Any) -> Any:
 
 
 def _said(message: Any, data: bytes) -> Any:
-    """Return what another process says, with nothing in its texts that a terminal would obey."""
+    """A message of another process, without characters that a terminal would obey."""
     return shown_all(message) if suspicious(data) else message
 
 
 def _why(error: Exception) -> str:
-    """What is wrong; msgpack has words for little of it."""
+    """What is wrong, in words; msgpack itself says little."""
     deep = isinstance(error, msgpack.StackError)
     return str(error) or ("it is nested too deeply" if deep else "not MessagePack")
 
@@ -87,8 +87,10 @@ def _unpack(data: bytes, what: str) -> Any:
 
 
 def _checked(value: Any, kind: Any) -> Any:
-    """Convert. Of a type that is new, msgspec looks at the fields first, and another thread that
-    meets it half looked at ends the process (SIGSEGV): so one thread at a time does that.
+    """The value converted to a type.
+
+    At a new type msgspec first looks at the fields; a thread that meets the type while another is
+    doing so would crash the process (SIGSEGV). So only one thread at a time does that.
     """
     if kind in _KNOWN:
         return msgspec.convert(value, kind)
@@ -143,7 +145,7 @@ def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
 
 
 def _decode_in_steps(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
-    """Decode a request, or say which of its parts is wrong."""
+    """As `decode_request`, in steps, so that the error names the part that is wrong."""
     message = _unpack(data, "request")
     _check_version(message, "target")
     if type(message) is not dict:
@@ -166,7 +168,8 @@ def _decode_in_steps(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
 
 
 def _check_words(arguments: Any, verb: Verb) -> None:
-    """Refuse a word that is none of those an argument may be; msgspec does not tell which they are.
+    """Refuse a word that an argument may not be, and name those that it may be, which msgspec does
+    not.
     """
     given = arguments if type(arguments) is dict else {}
     for field in msgspec.structs.fields(verb.arguments):
@@ -178,7 +181,7 @@ def _check_words(arguments: Any, verb: Verb) -> None:
 
 
 def encode_result(result: Any) -> bytes:
-    """Encode a reply that says yes."""
+    """Encode the reply to a request that succeeded."""
     body: dict[str, Any] = {"v": PROTOCOL, "ok": True}
     if result is not None:
         known = isinstance(result, msgspec.Struct)
@@ -187,7 +190,7 @@ def encode_result(result: Any) -> bytes:
 
 
 def encode_error(error: BaseException, details: dict[str, Any] | None = None) -> bytes:
-    """Encode a reply that says no, and why."""
+    """Encode the reply to a request that failed, with the reason."""
     if isinstance(error, OSError) and not isinstance(error, ZendspError) and error.strerror:
         # a full disk, no memory, a folder that is gone: nothing that a program of ours can mend
         error = Refused(f"the target's computer refuses: {error}")
@@ -231,8 +234,8 @@ def decode_reply(data: bytes, kind: Any) -> Any:
 
 
 def _explain(data: bytes, kind: Any) -> Any:
-    """Raise the error that a reply carries, whatever its version; else say what is wrong with the
-    reply.
+    """Raise the error that a reply carries, whatever its version; else one that says what is wrong
+    with the reply.
     """
     message = _said(_unpack(data, "reply"), data)
     try:
@@ -255,16 +258,15 @@ def check_version(version: object) -> None:
 
 
 def make_error(body: ErrorBody) -> ZendspError:
-    """Turn an error reply into the exception that it names; unknown kinds become :class:`Refused`.
-    """
+    """The exception that an error reply names; :class:`Refused` for a name that is not known."""
     found = getattr(errors, body.kind, None)
     known = isinstance(found, type) and issubclass(found, ZendspError)
     return found(body.message) if known and found is not None else errors.Refused(body.message)
 
 
 def _check_version(message: Any, reader: str) -> None:
-    """Raise if a message is of another version: whatever else is wrong with it, that is the reason
-    to name.
+    """Raise VersionMismatch if a message is of another version; that is the reason to name,
+    whatever else is wrong with it.
     """
     if type(message) is dict:
         version = message.get("v")

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 
 def nearest(name: str, known: Collection[str], most: int = 1, alike: float = 0.6) -> list[str]:
-    """What somebody who wrote ``name`` may have meant, the nearest first; capitals do not count.
+    """The known names that somebody who wrote ``name`` may have meant, the most similar first; case
+    does not count.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ def nearest(name: str, known: Collection[str], most: int = 1, alike: float = 0.6
 
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
-    """Say what somebody who wrote ``name`` probably meant, and what there is.
+    """A sentence on what ``name`` was probably meant to be, and on the names that exist.
 
     Parameters
     ----------

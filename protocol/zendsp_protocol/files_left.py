@@ -1,4 +1,4 @@
-"""How many more files this process may open: said before Zenoh ends a process that has too few."""
+"""Counts how many more files this process may open: Zenoh ends a process that has too few left."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""What a target leaves in shared memory for the case that it is killed: what it was recording, and
-where the rows stand.
+"""The note that a target keeps in shared memory for the case that it is killed: what it was
+recording, and where the rows are.
 
-The target writes the note when a recording begins. Who finds the note, and the lock of its folder
-free, knows that the target was killed. The rows are in the file beside it, float64 in the byte
-order of the machine.
+The target writes the note when a recording begins. A reader who finds the note while the lock of
+its folder is free knows that the target was killed. The rows are in the file beside it, float64 in
+the byte order of the machine.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Kept(msgspec.Struct, frozen=True, kw_only=True):
     gaps_held: int  # the newest: gap n stands at n mod gaps_held
 
     def word(self, folder: Path, at: int) -> int:
-        """A word that the loop wrote."""
+        """The value of a word that the loop wrote."""
         with (folder / self.file).open("rb") as file:
             file.seek(at)
             found: int = struct.unpack("=q", file.read(8))[0]
@@ -106,7 +106,7 @@ def first_row(count: int, fired: int, rows: int, pre: int, ring: bool, triggered
 
 
 def base() -> Path:
-    """Where targets have their folders."""
+    """The folder in which targets have their folders."""
     shm = Path("/dev/shm")
     return shm if shm.is_dir() and os.access(shm, os.W_OK) else Path(tempfile.gettempdir())
 
@@ -119,7 +119,8 @@ def write(folder: Path, note: Kept) -> None:
 
 
 def read(folder: Path) -> Kept | None:
-    """The note of a folder; None where there is none of this version, or no row was written."""
+    """The note of a folder; None where there is none of this version, or where no row was written.
+    """
     try:
         note = msgspec.msgpack.decode((folder / NOTE).read_bytes(), type=Kept)
     except (OSError, msgspec.MsgspecError):
@@ -129,8 +130,8 @@ def read(folder: Path) -> Kept | None:
 
 @contextmanager
 def abandoned() -> Iterator[Iterator[Path]]:
-    """Folders of this user's targets that were killed. Several may look at once: the owner's lock
-    is exclusive, theirs is shared.
+    """Folders of this user's targets that were killed. Several processes may look at once: the
+    owner's lock is exclusive, theirs is shared.
     """
     locks = []
 

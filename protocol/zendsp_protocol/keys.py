@@ -25,11 +25,11 @@ def check_name(name: str) -> str:
 
 
 def rpc(target: str, lane: str, user: str = "") -> str:
-    """Requests: one queryable per lane, so that slow work never stands before a STOP.
+    """Key of requests: one queryable for each lane, so that slow work never delays a STOP.
 
-    A host that the target knows by name (password or certificate) asks under that name, and can ask
-    under no other: the target's access control sees to it. A host of the target's own user, through
-    its socket, has none.
+    A host that the target knows by name (password or certificate) asks under that name; the
+    target's access control lets it ask under no other. A host of the target's own user, through its
+    socket, has no name.
     """
     return f"{_room(target, user)}/rpc/{lane}"
 
@@ -39,7 +39,7 @@ def _room(target: str, user: str) -> str:
 
 
 def user_of(key: str) -> str:
-    """Name under which something was asked, empty for the target's own user."""
+    """The name under which a request was sent, empty for the target's own user."""
     parts = key.split("/")
     return parts[3] if parts[2] == "as" else ""
 
@@ -50,8 +50,8 @@ def alive(target: str = "*") -> str:
 
 
 def ended(target: str) -> str:
-    """Liveliness token of a target that ends by itself, shown before :func:`alive` goes: one that
-    was killed, or is cut off, has none.
+    """Liveliness token of a target that ends by itself, shown before :func:`alive` goes. A target
+    that was killed or cut off has none.
     """
     return f"{alive(target)}/ended"
 
@@ -77,8 +77,8 @@ def variable(target: str, name: str = "*", user: str = "") -> str:
 
 
 def live(target: str, stream: int | str = "*", user: str = "") -> str:
-    """Publication: newest samples of a live stream; a host that is known by name gets them under
-    its name.
+    """Key on which the newest samples of a live stream are published; for a host that is known by
+    name it contains the name.
     """
     return f"{_room(target, user)}/live/{stream}"
 

@@ -1,5 +1,5 @@
-"""Modules that are imported when they are first used: a command that needs no array does not wait
-for NumPy.
+"""Modules that are imported when they are first used, so that a command that needs no array does
+not wait for NumPy.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Lazily:
-    """Stands for a module until an attribute of it is asked for.
+    """Stands for a module until one of its attributes is asked for.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""How much work it would be to decode a message: counted before that is done.
+"""Limits the work of decoding a message, which is counted before it is done.
 
-A decoder written in C holds up every other thread until it is through, STOP too: 20 MB of empty
-maps took it four seconds and a gigabyte. What is large here is large for a few texts and packed
-arrays.
+A decoder written in C holds up every other thread until it is done, STOP too: 20 MB of empty maps
+took it four seconds and a gigabyte. Large messages that are allowed consist of few long texts and
+packed arrays.
 """
 
 from __future__ import annotations

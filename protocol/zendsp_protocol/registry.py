@@ -1,4 +1,4 @@
-"""Where the targets of this machine write how to reach them: one small file each, in the user's
+"""The entries by which targets of this computer are found: one small file each, in the user's
 runtime directory.
 
 Only names and formats stand here; the target writes the files, the host reads them.
@@ -13,7 +13,7 @@ import msgspec
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True):
-    """A target that runs here."""
+    """The entry of a target that runs on this computer."""
 
     name: str
     pid: int
@@ -41,7 +41,8 @@ def folder(environment: Mapping[str, str] = os.environ) -> str:
 
 
 def steady(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder is no link of another user, who could turn it between two looks."""
+    """Whether a folder is no link of another user, who could point it elsewhere between two uses.
+    """
     return os.lstat(path).st_uid in (os.getuid(), 0)
 
 

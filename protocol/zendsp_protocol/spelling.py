@@ -1,4 +1,4 @@
-"""Refuses keys that nobody reads, in files that users write."""
+"""Refuses unknown keys in files that users write."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from zendsp_protocol.errors import did_you_mean
 
 
 def unknown_keys(data: Mapping[str, Any], allowed: Collection[str], where: str) -> str:
-    """Say which keys of a table nobody reads: one line each with the nearest that is, or ``""``.
+    """A line for each key of a table that is not read, with the most similar one that is; ``""``
+    where there is none.
 
     Parameters
     ----------

@@ -1,6 +1,4 @@
-"""Where things are, and of which sort, by name: on the wire, and in Python, each is the text that
-it stands for.
-"""
+"""States and kinds as enums; on the wire, and when compared, each is its text."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ class _State(StrEnum):
 
 
 class ProgramState(_State):
-    """Of the program on a target."""
+    """State of the program on a target."""
 
     EMPTY = "empty"  # none is loaded
     LOADED = "loaded"
@@ -46,7 +44,7 @@ class TripReason(_State):
 
 
 class Severity(_State):
-    """Of a message of the compiler."""
+    """Severity of a message of the compiler."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -62,7 +60,7 @@ STOPS = (TripReason.STOP, TripReason.STOP_INPUT, TripReason.HOST_LOST)
 
 
 class DriveState(_State):
-    """Of the drives, in the safe sequence."""
+    """State of the drives in the safe sequence."""
 
     OFF = "off"
     READY = "ready"
@@ -74,7 +72,7 @@ class DriveState(_State):
 
     @classmethod
     def latched(cls, reason: TripReason) -> DriveState:
-        """What a latched trip makes of the drives, by its reason."""
+        """The state of the drives while a trip of this reason is latched."""
         return cls.STOPPED if reason in STOPS else cls.TRIPPED
 
 
@@ -90,7 +88,7 @@ class HostLost(_State):
 
 
 class RecorderState(_State):
-    """Of one acquisition stream."""
+    """State of one acquisition stream."""
 
     IDLE = "idle"
     ARMED = "armed"  # waits for its trigger
@@ -99,7 +97,7 @@ class RecorderState(_State):
 
 
 class VariableKind(_State):
-    """Of a variable, by the macro that declares it."""
+    """Kind of a variable, by the macro that declares it."""
 
     PARAMETER = "parameter"  # the host may write it
     SIGNAL = "signal"  # it may read it
@@ -109,14 +107,14 @@ class VariableKind(_State):
 
 
 class Clock(_State):
-    """What the loop of a target runs by."""
+    """The clock of a target's loop."""
 
     REAL = "real"
     FAST = "fast"  # as fast as the CPU allows; of simulated machines
 
 
 class DriveMode(_State):
-    """What the drives are told."""
+    """The mode in which the drives shall be."""
 
     OFF = "off"
     TORQUE = "torque"
@@ -125,7 +123,7 @@ class DriveMode(_State):
 
 
 class DriveAction(_State):
-    """What a host asks of the drives."""
+    """The action that a host asks of the drives."""
 
     TAKE = "take"  # the exclusive right to command
     RELEASE = "release"

@@ -24,12 +24,12 @@ BY = 32
 
 
 def signed(author: str) -> bytes:
-    """Return what ``by`` holds for one who asks now: author, as in a request, and local time."""
+    """The content of ``by`` for somebody who asks now: author, as in a request, and local time."""
     text = f"{author} at {time.strftime('%H:%M:%S')}" if author else ""
     return text.encode()[: SIZE - BY - 1].ljust(SIZE - BY, b"\0")
 
 
 def signature(by: bytes) -> str:
-    """Return the words that `signed` made, in what can be printed."""
+    """The text that `signed` made, in printable characters."""
     text = by.partition(b"\0")[0].decode(errors="replace")
     return "".join(c if c.isprintable() else "?" for c in text)

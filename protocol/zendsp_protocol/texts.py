@@ -1,4 +1,4 @@
-"""Text from elsewhere, made fit to be shown: a terminal obeys some characters."""
+"""Makes text from elsewhere fit to be shown, since a terminal obeys some characters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXACT = "sources"  # C code is kept as it was sent
 
 
 def shown(text: str, lines: bool = True) -> str:
-    r"""Return text in which every character that a terminal would obey is written out.
+    r"""The text, in which every character that a terminal would obey is spelled out.
 
     Parameters
     ----------
@@ -52,7 +52,8 @@ def on_one_line(text: str) -> str:
 
 
 def placed(file: str, line: int, column: int, words: str) -> str:
-    """Return a compiler's words behind their place, as compilers write it; 0 is left out.
+    """A compiler's message after its place, as compilers write it; a line or column of 0 is left
+    out.
 
     Examples
     --------
@@ -63,7 +64,7 @@ def placed(file: str, line: int, column: int, words: str) -> str:
 
 
 def units_of(unit: str, length: int) -> tuple[str, ...]:
-    """Return the unit of each element: a variable has one, or names one for each of its elements.
+    """The unit of each element: a variable has one unit, or one for each of its elements.
 
     Examples
     --------
@@ -75,7 +76,7 @@ def units_of(unit: str, length: int) -> tuple[str, ...]:
 
 
 def joint_units(unit: str, joints: Sequence[str], length: int) -> str:
-    """Return the unit of a variable of a program that fits any machine.
+    """The unit of a variable of a program that runs on any machine.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ def joint_units(unit: str, joints: Sequence[str], length: int) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the singular where it is one.
+    """A number with its noun, in the singular where it is one.
 
     Examples
     --------
@@ -135,7 +136,9 @@ def number_hint(text: str) -> str:
 
 
 def suspicious(data: bytes) -> bool:
-    """Whether encoded text could hold what a terminal obeys: escapes, or what overwrites a line."""
+    """Whether encoded text could hold characters that a terminal obeys: escapes, or those that
+    overwrite a line.
+    """
     return len(data.translate(None, _SIGNS)) < len(data)
 
 

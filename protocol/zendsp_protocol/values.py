@@ -48,7 +48,7 @@ else:
 
 
 def to_wire(value: Any) -> WireValue:
-    """Turn a Python or NumPy value into what goes over the wire.
+    """A Python or NumPy value as it goes over the wire.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def to_wire(value: Any) -> WireValue:
 
 
 def from_wire(value: WireValue) -> Value:
-    """Turn a received value into Python numbers or a NumPy array.
+    """A received value as Python numbers or a NumPy array.
 
     Raises
     ------
@@ -101,14 +101,14 @@ def from_wire(value: WireValue) -> Value:
 
 
 def _check_mixed(values: list[Any] | tuple[Any, ...]) -> None:
-    """Refuse what NumPy would quietly turn into numbers: true or false among numbers."""
+    """Refuse true or false among numbers, which NumPy would turn into numbers."""
     flags = sum(isinstance(item, bool | np.bool_) for item in values)
     if 0 < flags < len(values):
         raise TypeError(f"{values!r} mixes true or false with what is not a number of that kind")
 
 
 def enc_hook(value: Any) -> Any:
-    """Let msgspec encode what it does not know: NumPy arrays and scalars."""
+    """NumPy arrays and scalars in types that msgspec can encode."""
     if isinstance(value, np.ndarray):
         return to_wire(value)
     if isinstance(value, np.generic):

@@ -9,7 +9,7 @@ raise it.
 
 
 def mismatch(theirs: object, who_asks: str) -> str:
-    """Write the sentence for a peer of another version.
+    """The sentence about a peer of another version.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a notebook shows of an object: sentences, tables and curves as HTML and SVG that need
+"""What a notebook shows of an object: sentences, tables and curves as HTML and SVG that load
 nothing from elsewhere; and tables for a prompt.
 """
 
@@ -73,7 +73,7 @@ def _looks_numeric(text: str) -> bool:
 
 
 def short(value: Any) -> str:
-    """Return a variable's value as it is shown; a value that is not there is a dash.
+    """The value of a variable as text; a dash where it is missing.
 
     Examples
     --------
@@ -99,8 +99,8 @@ def short(value: Any) -> str:
 
 
 def with_std(value: float, std: float, unit: str = "") -> str:
-    """Return a measured number with its standard deviation, which has two digits, and as many
-    decimals itself; of one that is not known, four digits.
+    """A number with its standard deviation, which has two digits; the number has as many decimals.
+    Four digits where the deviation is not known.
 
     Examples
     --------
@@ -173,7 +173,9 @@ def curves(
 
 
 def _lanes(columns: Sequence[tuple[str, Sequence[float]]]) -> list[list[int]]:
-    """Numbers of the curves of each lane: of one unit, and none a tenth as wide as another."""
+    """The numbers of the curves of each lane: they have one unit, and none a tenth of the range of
+    another.
+    """
     lanes: list[tuple[str, float, list[int]]] = []
     for k, (name, y) in enumerate(columns):
         finite = [v for v in y if v - v == 0.0]
@@ -246,7 +248,7 @@ def _text(x: float, y: float, words: float | str, anchor: str = "middle") -> str
 
 
 def _runs(x: Sequence[float], y: Sequence[float]) -> list[list[tuple[float, float]]]:
-    """Stretches without a gap."""
+    """The parts of a curve without a gap."""
     runs: list[list[tuple[float, float]]] = [[]]
     for a, b in zip(x, y, strict=True):
         if b - b == 0.0:

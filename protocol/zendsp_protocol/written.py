@@ -1,4 +1,5 @@
-"""TOML and JSON as people write them, or somebody hostile does: all that is wrong is one error."""
+"""Reads TOML and JSON that people write, or somebody hostile does: anything wrong gives one error.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ _DEEP = "it is nested too deeply to be read"
 
 
 def toml(text: str) -> dict[str, Any]:
-    """Return what a TOML text holds.
+    """The contents of a TOML text.
 
     Raises
     ------
@@ -28,7 +29,7 @@ def toml(text: str) -> dict[str, Any]:
 
 
 def json(text: str) -> Any:
-    """Return what a JSON text holds.
+    """The contents of a JSON text.
 
     Raises
     ------

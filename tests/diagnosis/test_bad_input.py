@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import reality
 from click.testing import CliRunner
+from mistakes import BAD, Columns, hung
 
 from zendsp.cli.model import check
 from zendsp.diagnosis.data import checks, plausibility
@@ -23,139 +24,6 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import read_divided
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model
-
-Columns = dict[str, np.ndarray]
-
-
-def _clip(name: str, share: float) -> Callable[[Columns], None]:
-    def change(c: Columns) -> None:
-        top = share * np.max(np.abs(c[name]))
-        c[name] = np.clip(c[name], -top, top)
-
-    return change
-
-
-def _clip_position(c: Columns) -> None:
-    c["q"] = np.minimum(c["q"], c["q"].min() + 0.75 * np.ptp(c["q"]))
-
-
-def _scale(factor: float, *names: str) -> Callable[[Columns], None]:
-    def change(c: Columns) -> None:
-        for name in names:
-            c[name] = factor * c[name]
-
-    return change
-
-
-def _swap(c: Columns) -> None:
-    c["q"], c["u"] = c["u"], c["q"]
-
-
-def _nan(c: Columns) -> None:
-    c["q"][1000] = np.nan
-
-
-def _infinite(c: Columns) -> None:
-    c["u"][7] = np.inf
-
-
-def _huge(c: Columns) -> None:
-    c["q"][2000] = -1e300
-
-
-def _refreshed(c: Columns) -> None:
-    c["q"] = np.repeat(c["q"][::5], 5)[: len(c["q"])]
-
-
-def _constant(c: Columns) -> None:
-    c["q"] = np.full_like(c["q"], 0.25)
-
-
-def _dither(c: Columns) -> None:
-    c["q"] = reality.RESOLUTION * (np.arange(len(c["q"])) % 7 == 0)
-
-
-def _noise(c: Columns) -> None:
-    c["q"] = 0.3 + 1e-2 * np.random.default_rng(1).standard_normal(len(c["q"]))
-
-
-def _glued(c: Columns) -> None:
-    n = len(c["q"])
-    for name in ("q", "u", "r"):
-        c[name] = np.concatenate([c[name][: n // 3], c[name][n // 2 :]])
-    c["t"] = c["t"][: len(c["q"])]
-
-
-def _hung(c: Columns) -> None:
-    speed = np.abs(c["q"][7:] - c["q"][:-7])
-    for part in (slice(1100, 1900), slice(2500, 2900)):
-        k = part.start + int(np.argmax(speed[part]))
-        c["q"][k : k + 60] = c["q"][k]
-
-
-def _glued_at_rest(c: Columns) -> None:
-    n = len(c["q"])
-    slow = np.abs(c["q"][7:] - c["q"][:-7])[: n // 2]
-    k = 1000 + int(np.argmin(slow[1000:]))
-    rest = np.full(400, c["q"][k])
-    c["q"] = np.concatenate([c["q"][:k], rest, c["q"][k] + 1.0 + c["q"][k + 400 :]])
-
-
-def _outlier(c: Columns) -> None:
-    c["q"][1000] += 17.0
-
-
-def _repeated(c: Columns) -> None:
-    for name in c:
-        c[name] = np.concatenate([c[name], c[name]])
-
-
-def _few_digits(c: Columns) -> None:
-    c["t"] = np.round(1.7e9 + c["t"], -1)  # of a calendar's stamp nine digits were printed
-
-
-def _shifted(c: Columns) -> None:
-    c["u"] = np.roll(c["u"], len(c["u"]) // 3)
-
-
-def _unexcited(c: Columns) -> None:
-    c["u"] = np.full_like(c["u"], 0.2)
-
-
-def _silent(c: Columns) -> None:
-    c["u"] = np.zeros_like(c["u"])
-
-
-BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
-    "degrees": (_scale(180 / np.pi, "q", "r"), "degrees"),
-    "degrees beside a reference in radians": (_scale(180 / np.pi, "q"), "degrees"),
-    "command in milli-units": (_scale(1000.0, "u"), "[actuator], such as mA in place of A?"),
-    "command in units under a head of milli-units": (
-        _scale(0.001, "u"), "N m under a head that says mN m? Write the unit",
-    ),
-    "sign of the command": (_scale(-1.0, "u"), "sign of the command or of the position is flipped"),
-    "sign of the position": (_scale(-1.0, "q"), "flipped"),
-    "swapped columns": (_swap, "swapped"),
-    "NaN": (_nan, "row 1001"),
-    "infinite": (_infinite, "row 8: inf"),
-    "too large to be squared": (_huge, "row 2001: -1e+300"),
-    "constant position": (_constant, "constant"),
-    "position read more seldom than it is logged": (_refreshed, "every 5th row only"),
-    "constant command": (_unexcited, "constant"),
-    "no command": (_silent, "zero throughout"),
-    "one count of motion": (_dither, "counts"),
-    "noise": (_noise, "noise"),
-    "clipped position": (_clip_position, "clipped"),
-    "clipped command": (_clip("u", 0.4), "clipped"),
-    "two runs glued": (_glued, "glued"),
-    "two runs glued, the first one at rest": (_glued_at_rest, "glued"),
-    "the same run twice": (_repeated, "glued"),
-    "a sensor that hung": (_hung, "the sensor hung, or was not read"),
-    "one row that stands out": (_outlier, "the position of row 1001 alone"),
-    "command of another run": (_shifted, "different runs"),
-    "time in few digits": (_few_digits, "stands still at row 2, at 1700000000: is it written"),
-    "time in milliseconds": (_scale(1000.0, "t"), "seconds"),
-}
 
 
 @pytest.mark.parametrize("mistake", BAD)
@@ -400,7 +268,7 @@ def test_one_command_for_each_recording_removes_all_times_with_a_hanging_sensor(
 ) -> None:  # fmt: skip
     """Such a recording had been refused as two runs glued together, once for each jump."""
     columns = {k: v.copy() for k, v in good.items()}
-    _hung(columns)
+    hung(columns)
     paths = [reality.save(tmp_path / f"{name}.csv", columns) for name in ("one", "two")]
     said = refuse(*paths, "--model", model)
     assert "glued" not in said and said.count("for 60 rows from row ") == 4, said

@@ -10,18 +10,14 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import joints, machine
-from zendsp.diagnosis.decide import decide_bodies
-from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.decide_bodies import BodyClaim, Heard, beside_bodies, borne
-from zendsp.diagnosis.search import bodies
-from zendsp.diagnosis.search.bodies import FoundBody, own_mass, unsure
+from zendsp.diagnosis.decide.decide_bodies import Heard, borne
+from zendsp.diagnosis.search.bodies import own_mass, unsure
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
 from zendsp.diagnosis.search.body_hypotheses import COST, LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
-from zendsp.physics.files.model_file import parse_model
-from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.model import Term
 
 BLOCKS, SAMPLES = 16, 150
 # how far the arm swings in each block: it does most of its motion in three of them
@@ -261,169 +257,6 @@ def test_a_payload_that_may_sit_at_its_links_centre_is_that_links_mass(
     assert found is (heavier if own else payload)
 
 
-def test_a_third_less_gain_at_all_actuators_at_once_is_implausible() -> None:
-    """A payload of a planar arm, three fifths of its link's inertia, had become a gain of both
-    joints.
-    """
-    solver: Any = SimpleNamespace(
-        layout=SimpleNamespace(links=SimpleNamespace(bodies=())), limits=LIMITS
-    )
-    ratio = np.array([-0.35])
-    assert not Solver.plausible(solver, Hypothesis("torque_gain", free=("ratio",)), ratio)
-    assert Solver.plausible(solver, Hypothesis("torque_gain", 2, free=("ratio",)), ratio)
-    assert Solver.plausible(solver, Hypothesis("torque_gain", free=("ratio",)), 0.5 * ratio)
-
-
-@pytest.mark.parametrize(("p2", "wrong"), [(0.17, 0), (0.26, 1)])
-def test_numbers_of_a_planar_arm_far_from_the_given_ones_are_a_finding_and_not_calibration(
-    p2: float, wrong: int
-) -> None:
-    given = planar(0.15)
-    assert bodies_wrong(given, planar(p2)) == wrong
-    rough = replace(given.mechanism["p2"][0], std=0.05)
-    loose = replace(given, mechanism={**given.mechanism, "p2": (rough,)})
-    assert bodies_wrong(loose, planar(p2)) == 0
-
-
-def planar(p2: float) -> Model:
-    """An arm in the plane of which one number is free."""
-    numbers = {"p1": 2.2, "p2": {"value": p2}, "p3": 0.2, "l1": 0.36, "l2": 0.34}
-    held = {
-        k: v if isinstance(v, dict) else {"value": v, "free": False} for k, v in numbers.items()
-    }
-    return parse_model(
-        {"sample_time": 0.001, "mechanism": {"kind": "planar2r", "parameters": held}, "effect": []}
-    )
-
-
-@pytest.mark.parametrize(("com_std", "stands"), [(0.004, False), (0.0004, True)])
-def test_a_constant_torque_within_the_uncertainty_of_a_bodys_centre_belongs_to_the_body(
-    com_std: float, stands: bool
-) -> None:
-    """With 8 kg, 4 mm make 0.3 N m, whatever the uncertainty of the mass."""
-    arm = SimpleNamespace(inertia=np.zeros(5), bias=np.zeros(5))
-
-    def change(terms: list[Term], _joint: int) -> Any:
-        weight = 80.0 * terms[0].value("com_x")  # N m a metre
-        return SimpleNamespace(inertia=arm.inertia, bias=arm.bias + weight)
-
-    record: Any = SimpleNamespace(
-        n=5, links=SimpleNamespace(change=change), others=np.zeros((1, 3, 5)),
-        scale=SimpleNamespace(torque=40.0),
-    )  # fmt: skip
-    test: Any = SimpleNamespace(records=[[record]])
-    term = Term("body", 1, {"com_x": Quantity(0.02, free=False, std=com_std)})
-    nothing: Any = None
-    law = Term("torque_offset", 1, {})
-    claim = Claim("torque_offset", "actuator", law, 0.02, nothing, 0.0, {}, (), (), ())
-    decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
-    found = SimpleNamespace(term=term, indistinguishable=())
-    body: Any = SimpleNamespace(sizes={1: 0.03}, found=found)
-    (beside,) = beside_bodies([body], [decision], test)
-    assert (beside.claims == (claim,)) is stands
-    nameless = replace(claim, effect="unknown")
-    (beside,) = beside_bodies([body], [replace(decision, claims=(nameless,))], test)
-    assert beside.refinements == (() if stands else (claim,)), "a refinement is a law"
-
-
-@pytest.mark.parametrize("same", ["calibration", "torque_gain"])
-def test_an_inertia_beside_a_body_that_calibration_can_absorb_is_not_a_finding(same: str) -> None:
-    term, law = SimpleNamespace(parameters={}), SimpleNamespace(effect="inertia")
-    found = SimpleNamespace(term=term, indistinguishable=(same,))
-    body: Any = SimpleNamespace(sizes={1: 0.3}, found=found)
-    record: Any = SimpleNamespace(n=1, scale=SimpleNamespace(torque=1.0))
-    test: Any = SimpleNamespace(records=[[record]])
-    claim: Any = SimpleNamespace(effect="inertia", mechanism="inertia", size=0.2, term=law)
-    nothing: Any = None
-    decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
-    (beside,) = beside_bodies([body], [decision], test)
-    assert (beside.refinements == (claim,)) is (same == "calibration")
-
-
-@pytest.mark.parametrize(("behind", "remembered"), [(0.4, True), (4.0, False)])
-def test_a_body_that_explains_as_much_as_a_joints_own_fault_is_remembered(
-    behind: float, remembered: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Link 2 of an arm, 3.6 kg heavier, loads joint 2 alone, so a gain explains as much. The joint
-    had been set aside, and ended with a torque over the position without a law.
-    """
-    gain = replace(
-        explained(2, "ratio", cost=1.0, behind=0.0),
-        hypothesis=Hypothesis("torque_gain", 2, "", ("ratio",), 1.0),
-    )
-    body = replace(explained(2, "mass", cost=2.0, behind=behind), gain=100.0 - 10.0 * behind)
-    nothing = replace(gain, gain=0.0, z=0.0)
-    rounds = iter([[gain, body], [nothing]])
-    monkeypatch.setattr(bodies, "hypotheses", lambda *_: [])
-    monkeypatch.setattr(bodies, "Solver", lambda *_, **__: None)
-    monkeypatch.setattr(bodies, "explain", lambda *_: next(rounds))
-    layout: Any = SimpleNamespace(model=None, links=None)
-    _, aside, first = bodies._round(None, None, layout, LIMITS)  # type: ignore[arg-type]
-    assert aside == {2}
-    assert (first == [gain, body]) is remembered
-
-
-@pytest.mark.parametrize(
-    ("mechanism", "effect", "weighs"),
-    [
-        ("position_torque", "gravity", True),
-        ("actuator", "torque_offset", True),
-        ("actuator", "torque_gain", True),
-        ("actuator", "delay", False),
-        ("dry_friction", "coulomb", False),
-    ],
-)
-def test_a_joints_claim_may_be_the_weight_of_a_body(
-    mechanism: str, effect: str, weighs: bool
-) -> None:
-    nothing: Any = None
-    term = Term(effect, 2, {})
-    claim = Claim(effect, mechanism, term, 0.1, nothing, 0.0, {}, (), (), ())
-    decision: Any = SimpleNamespace(claims=(claim,))
-    assert machine._weighs(decision) is weighs
-    assert not machine._weighs(SimpleNamespace(claims=()))  # type: ignore[arg-type]
-    nameless = replace(claim, effect="unknown", mechanism="dry", term=Term("unknown", 2, {}))
-    assert not machine._weighs(SimpleNamespace(claims=(nameless,)))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("mechanism", "left_open", "after"),
-    [
-        ("position_torque", {2, 5}, 1.0),
-        ("actuator", {2, 5}, 1.0),
-        ("dry_friction", {5}, 1.0),
-        ("actuator", {2, 5}, 2.0),  # slow motion: 1.5 kg became -4.9
-    ],
-)
-def test_a_body_is_refitted_with_the_gravity_of_its_joint_free_beside_a_spring_or_a_gain(
-    monkeypatch: pytest.MonkeyPatch, mechanism: str, left_open: set[int], after: float
-) -> None:
-    """A real arm carried 150 kg, found as 159. Refitted beside the spring of its balancer it had
-    become 175 ± 5. Numbers that predict worse are not taken.
-    """
-    errors = iter((1.0, after))
-    monkeypatch.setattr(decide_bodies, "model_error", lambda *_: next(errors))
-    asked: list[frozenset[int]] = []
-
-    def found_again(*args: Any) -> Any:
-        asked.append(args[-1])
-        return "again"
-
-    monkeypatch.setattr(decide_bodies, "agreed", found_again)
-    monkeypatch.setattr(decide_bodies, "stated", lambda _layout, again: again)
-    monkeypatch.setattr(decide_bodies, "Layout", lambda *_args: None)
-    record = SimpleNamespace(links=SimpleNamespace())
-    part = SimpleNamespace(records=[[record]])
-    parts: Any = SimpleNamespace(fit=part, choose=part, test=None)
-    first = explained(1, "mass", cost=2.0, behind=0.0)
-    found = FoundBody(Term("payload", 6, {}), "tool", first, (), (), frozenset({5}))
-    claim = BodyClaim(found, {}, 1.0, 0.9)
-    at: Any = [SimpleNamespace(joint=2, claims=[SimpleNamespace(mechanism=mechanism)])]
-    (settled,), _ = decide_bodies.settled(parts, [claim], planar(0.15), at, 1)
-    assert asked == [left_open]
-    assert (settled.found.explained == "again") == (after <= 1.0)
-
-
 @pytest.mark.parametrize(("several", "proposed"), [(True, False), (False, False), (True, True)])
 def test_a_small_body_is_asked_for_where_two_joints_claim_what_it_may_be(
     several: bool, proposed: bool
@@ -441,46 +274,6 @@ def test_a_small_body_is_asked_for_where_two_joints_claim_what_it_may_be(
     assert (asked is small) is (several and not proposed)
     found.claims = (object(),)  # a body is claimed already
     assert machine._for_the_joints(search, found) is None
-
-
-def test_rivals_of_a_body_are_effects_in_the_report_and_words_in_its_sentence() -> None:
-    term = Term("body", 2, {"mass": Quantity(0.3)})
-    explained: Any = SimpleNamespace(
-        hypothesis=Hypothesis("body", 2, "link2", ("mass",)),
-        values=np.array([0.3]),
-        std=np.array([0.03]),
-    )
-    others = ("payload of link2", "gravity_scale", "calibration")
-    found = FoundBody(term, "link2", explained, others, ())
-    told = decide_bodies.body_finding(BodyClaim(found, {2: 0.1}, 100.0, 0.5), 0.02)
-    assert told.indistinguishable == ("payload", "gravity")
-    assert "another strength of gravity, other values of the model's own free" in told.sentence
-
-
-def test_a_gain_that_a_body_explains_as_well_is_the_less_sure(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A last link 10 % heavier was a gain of -9 % at either joint, each at 97 %."""
-
-    def tried(effect: str, joint: int, gain: float, bodily: bool) -> Any:
-        hypothesis = SimpleNamespace(effect=effect, joint=joint, of_bodies=bodily)
-        return SimpleNamespace(hypothesis=hypothesis, gain=gain)
-
-    monkeypatch.setattr(decide_bodies, "seen", lambda e: e.gain > 100.0)
-    monkeypatch.setattr(decide_bodies, "tied", lambda e, top: e.gain > 0.9 * top.gain)
-    nothing: Any = None
-
-    def left(body: float, effect: str = "torque_gain") -> Claim:
-        of_bodies = [tried("body", 2, body, True), tried("payload", 2, 50.0, True)]
-        search: Any = SimpleNamespace(tried=[*of_bodies, tried("torque_gain", 0, 900.0, False)])
-        term = Term(effect, 2, {})
-        claim = Claim(effect, "actuator", term, 0.1, nothing, 0.0, {}, (), (), ())
-        decision = Decision(2, "missing", (claim,), (), *[nothing] * 8)
-        return decide_bodies.or_bodies(search, [decision])[0].claims[0]
-
-    assert (left(850.0).same, left(850.0).most) == (("body",), 0.75)
-    assert (left(500.0).same, left(500.0).most) == ((), 1.0)
-    assert left(850.0, "delay").same == ()
 
 
 def test_a_body_is_held_against_none_only_where_a_joint_corrects_much_of_it() -> None:

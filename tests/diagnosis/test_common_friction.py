@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_laws import claim_of, of_one_claim
+from made_claims import claim_of, of_one_claim
 
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import decide as decision

@@ -19,12 +19,11 @@ from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide import clocks
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.assemble import (
-    beside_given_gravity,
     with_disagreement,
     with_slower_observer,
 )
 from zendsp.diagnosis.decide.clocks import apart_in_time
-from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE, TOLERANCE
+from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure import bursts as measure_bursts
 from zendsp.diagnosis.measure import discrepancy as measure_discrepancy
 from zendsp.diagnosis.measure import evidence
@@ -33,11 +32,10 @@ from zendsp.diagnosis.measure.discrepancy import BANDS, at_reversals, deviation,
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
-from zendsp.diagnosis.measure.where import Missing, mismatch, regions
-from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
-from zendsp.physics.calibration.handles import free_handles, get_values
+from zendsp.diagnosis.measure.where import mismatch
+from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import JointRecord
-from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.model import Model
 
 
 def test_a_figure_shows_the_torque_that_lacks_in_full_beside_a_models_damping() -> None:
@@ -371,65 +369,6 @@ def test_the_half_row_of_a_first_order_simulator_is_not_missing_physics(
     parts: Any = SimpleNamespace(fit=data, test=data)
     assert out.before.value > OF_STATE
     assert decision._half_a_row(out, parts, 1) is numeric
-
-
-def test_where_torque_is_missing_is_reported_over_all_recordings_together() -> None:
-    """A torque at 0.5 rad, which only the second recording reaches, and a smaller one at -0.5."""
-    t = np.arange(5000) * 0.002
-
-    def one(low: float, high: float) -> Missing:
-        q = low + (high - low) * (0.5 - 0.5 * np.cos(3.0 * t))
-        pull = np.exp(-(((q - 0.5) / 0.1) ** 2)) + 0.4 * np.exp(-(((q + 0.5) / 0.1) ** 2))
-        plain = {"velocity": np.gradient(q, t), "acceleration": t, "command": t}
-        return Missing(t, pull, np.full(len(t), 0.01), {"position": q, **plain})
-
-    for both in ([one(-1.0, 0.0), one(-1.0, 1.0)], [one(-1.0, 1.0), one(-1.0, 0.0)]):
-        region = next(r for r in regions(both, 1) if r.variable == "position")
-        low, high = region.interval
-        assert low < 0.45 and high > 0.55 and region.share < 0.9
-    assert regions([], 1) == []
-
-
-def test_an_interval_with_hardly_more_than_its_share_of_time_is_not_reported_as_the_place() -> None:
-    t = 0.002 * np.arange(5000)
-    q = np.sin(3.0 * t)
-    level = np.where(np.abs(q) < 0.97, 1.0, 0.6)  # 91 % of it in 84 % of the time
-    plain = {"velocity": t, "acceleration": t, "command": t}
-    lacks = [Missing(t, level, np.full(len(t), 0.01), {"position": q, **plain})]
-    assert not [r for r in regions(lacks, 1) if r.variable == "position"]
-
-
-def test_a_gravity_beside_the_models_own_is_reported_beside_the_given_number() -> None:
-    """0.4878 and 0.0705 at 1.738 rad equal 0.4108 and another gravity. No recording separates them,
-    so the second is known no better than the first.
-    """
-    given = model_of()
-    given = replace(given, mechanism={**given.mechanism, "gravity": (Quantity(0.4108),)})
-    found = Term("gravity", 1, {"torque": Quantity(0.0705), "angle": Quantity(1.738)})
-    model = replace(
-        given,
-        terms=(found,),
-        mechanism={**given.mechanism, "gravity": (Quantity(0.4878),)},
-    )
-    handles = tuple(h for h in free_handles(model) if h.key in ("gravity", "torque", "angle"))
-    at = get_values(model, handles)
-    fitted: Any = Fit(model, handles, at, np.diag([1e-8] * 3), 0.0, (), np.zeros(0), np.zeros(0))
-    told = beside_given_gravity(given, 1, fitted)
-    q = np.linspace(-3.0, 3.0, 50)
-
-    def torque(m: Model) -> np.ndarray:
-        (term,) = m.terms
-        beside = term.value("torque") * np.sin(q - term.value("angle"))
-        return np.asarray(m.mechanism["gravity"][0].value * np.sin(q) + beside)
-
-    assert told.model.mechanism["gravity"][0].value == 0.4108
-    np.testing.assert_allclose(torque(told.model), torque(model), atol=1e-12)
-    std = dict(zip((h.key for h in handles), told.std, strict=True))
-    assert std["gravity"] == 0.0
-    assert std["torque"] == pytest.approx(TOLERANCE * 0.4108 * np.cos(told.x[2]), rel=0.01)
-    assert std["angle"] == pytest.approx(
-        TOLERANCE * 0.4108 * np.sin(told.x[2]) / told.x[1], rel=0.01
-    )
 
 
 def test_a_number_is_not_bent_into_the_limits_of_shorter_recordings() -> None:

@@ -23,20 +23,16 @@ from zendsp.cli import main
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
-from zendsp.diagnosis.decide import decide
-from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted, dark, nearest
+from zendsp.diagnosis.decide.contract import Rejected, contradicted
 from zendsp.diagnosis.decide.findings import waves
-from zendsp.diagnosis.decide.headline import percent, verdict_sentence
-from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
+from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.curve import Axis, samples_of
-from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.where import Missing
-from zendsp.diagnosis.report import files, html
+from zendsp.diagnosis.report import files
 from zendsp.diagnosis.report.chart import Panel, Series
 from zendsp.diagnosis.report.figures import charts, from_a_whole_second
 from zendsp.diagnosis.report.files import stands_for, write_report
 from zendsp.diagnosis.report.laws import axis_of
-from zendsp.diagnosis.report.summary import _sized, unnamed
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.model import Model, Quantity, Term
@@ -101,20 +97,6 @@ def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
         next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=(),
         stopped=False, doubted=contradicted(rejected), nameless=(),
     )
-
-
-def test_the_report_does_not_say_nothing_is_open_where_a_torque_has_no_name() -> None:
-    left = SimpleNamespace(**(vars(_proposing(None)) | {"nameless": ((1, 0.003),)}))
-    why = files.no_reference(left)  # type: ignore[arg-type]
-    assert why == "what is left has no name, and no rival to be told from"
-
-
-def test_the_report_does_not_say_settled_where_the_headline_cannot_tell() -> None:
-    doubtful = _proposing(None, Rejected("backlash", 1, "the untouched do not show it", 1e4))
-    assert files.no_reference(doubtful) == "no motion can be proposed for what is open"
-    assert "Nothing is missing" not in html._where(doubtful)
-    assert "no place is named" in html._where(doubtful)
-    assert "Nothing is missing" in html._where(_proposing(None))
 
 
 def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, Any]) -> None:
@@ -193,24 +175,6 @@ def test_improved_model_given_again_is_complete(folder: Path) -> None:
     assert {e["kind"] for e in data["effect"]} == {"viscous", "coulomb", "ripple"}
     d = diagnose(folder / "train.csv", again, folder / "heldout.csv", jobs=1)
     assert d.verdict == "complete", d.findings
-
-
-def test_the_unit_of_a_pure_number_is_not_read_out() -> None:
-    assert _sized(Detectable(1, "actuator", "torque_gain", 0.0025, "1", 0.1)) == "0.0025"
-    assert _sized(Detectable(1, "dry_friction", "coulomb", 0.25, "N m", 0.1)) == "0.25 N m"
-
-
-@pytest.mark.parametrize(
-    ("share", "text"), [(0.0351, "3.5 %"), (0.996, "100 %"), (1.0, "100 %"), (4.217, "422 %")]
-)
-def test_a_share_of_a_torque_is_never_printed_as_a_power_of_ten(share: float, text: str) -> None:
-    assert percent(share) == text
-
-
-def test_an_unknown_remainder_is_never_called_small() -> None:
-    assert unnamed(0.0, 1.0) == "at most 100 % of its torque, and perhaps nothing"
-    assert unnamed(0.0, 0.2) == "at most 20 % of its torque, and perhaps nothing"
-    assert unnamed(1.0, 1.0) == "100 % of its torque"
 
 
 def test_time_stamps_of_a_calendar_are_drawn_from_a_whole_second_that_the_axis_names() -> None:
@@ -376,39 +340,6 @@ def test_a_report_that_a_full_disk_refuses_is_written_elsewhere(
     assert (elsewhere / "report.html").read_text() == "written"
 
 
-def test_dry_friction_between_joints_is_not_called_a_mass() -> None:
-    text = verdict_sentence("missing", [("inertia", ("coupling",), 1)])
-    assert text == "Missing physics: the other joints' motion (coupling) at joint 1."
-    assert "mass" in verdict_sentence("missing", [("inertia", ("inertia",), 1)])
-
-
-def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:
-    assert dark([(1, (0.0, 0.2)), (2, (0.0, 1.0))]) == (2,)
-    assert verdict_sentence("complete", [], ()).startswith("Complete: ")
-    assert verdict_sentence("complete", [], (1, 2)) == (
-        "Cannot tell: nothing is seen to be missing, but the recordings to judge on leave open"
-        " up to all of the torque of"
-        " joints 1 and 2."
-    )
-
-
-def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> None:
-    tried = [
-        Rejected("backlash", 1, "on the recordings held out", 5925.0),
-        Rejected("ripple", 1, "0.02 % of the torque", 900.0, Reason.TOO_SMALL),
-        Rejected("ripple", 2, "0.02 % of the torque", 9000.0, Reason.TOO_SMALL),
-        Rejected("delay", 3, "a simulator of other steps seems as late", 1871.0),
-        Rejected("delay", 4, "does not explain the mismatch", 0.0),
-    ]
-    mass = Rejected("voltage_limit", 5, "on the recordings held out", 1196.0)
-    assert contradicted([*tried, mass]) == (("backlash", 1), ("voltage_limit", 5))
-    assert (doubted := contradicted(tried)) == (("backlash", 1),)
-    assert verdict_sentence("unexplained", [], doubted=doubted) == (
-        "Cannot tell: the recordings of the fit are by far likelier with backlash at joint 1, and"
-        " the untouched ones do not show it. Hold out motion as fast as theirs."
-    )
-
-
 def test_a_coupling_is_drawn_over_the_motion_of_the_other_joint() -> None:
     states = np.arange(24.0).reshape(2, 3, 4)  # joints, (position, velocity, acceleration), samples
     q, qd, qdd = states[0]
@@ -451,33 +382,6 @@ def test_longer_recordings_are_proposed_where_these_show_nothing(tmp_path: Path)
     assert "class='verdict unexplained'" in (tmp_path / "report" / "report.html").read_text()
 
 
-def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> None:
-    some = SimpleNamespace(
-        verdict="missing", regions=(), times=((3.7, 4.2),), times_of=("a",), missing={}
-    )
-    text = html._where(some)  # type: ignore[arg-type]
-    assert "3.70–4.20 s" in text and "Nowhere" not in text
-    assert "No interval of a joint's own velocity" in text, "the map may be over another joint's"
-    none = SimpleNamespace(
-        verdict="missing", regions=(), times=(), times_of=(), missing={}, doubted=()
-    )
-    for pictured in (True, False):
-        said = html._where(none, pictured=pictured)  # type: ignore[arg-type]
-        assert "No interval" in said and "Nowhere" not in said
-        assert ("a picture shows more, too few passes" in said) == pictured
-    none.verdict = "complete"
-    assert "Nothing is missing" in html._where(none)  # type: ignore[arg-type]
-
-
-def test_no_rejected_rival_with_a_positive_likelihood_is_called_no_more_likely() -> None:
-    left = Size(0.1, 0.1, 0.1)
-    for gain, words in ((-10.0, "no more likely"), (14.0, "hardly more likely"), (
-        80.0, "is not what is missing")):  # fmt: skip
-        lost = decide._lost("stiffness", 1, gain, (), left, left)
-        assert words in lost.why and (lost.score > 0.0) != ("no more" in lost.why)
-    assert "log-likelihood +7, and +20" in decide._lost("stiffness", 1, 14.0, (), left, left).why
-
-
 def test_ripples_that_describe_an_unknown_torque_are_reported_with_their_numbers() -> None:
     """A cogging of 14 periods a turn had stood in model.toml, but not in the report."""
     each = [
@@ -488,29 +392,3 @@ def test_ripples_that_describe_an_unknown_torque_are_reported_with_their_numbers
     assert waves(each).endswith(
         ", and others 28.0300 ± 0.0080 times a turn and 41.9600 ± 0.0080 times a turn"
     )
-
-
-def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() -> None:
-    tried = [
-        Rejected("delay", 1, "on the recordings held out", 9e4),
-        Rejected("hysteresis", 1, "0.46 % of the torque", 3e4, Reason.NEAR),
-        Rejected("ripple", 1, "0.1 % of the torque", 2e4, Reason.NEAR),
-    ]
-    assert nearest("unexplained", tried) == (("hysteresis", 1),)
-    assert not nearest("complete", tried) and not nearest("unexplained", tried[:1])
-    said = verdict_sentence("unexplained", [], near=nearest("unexplained", tried))
-    assert said == (
-        "Unexplained: something is missing that is most like hysteresis at joint 1, and not surely"
-        " that; no physics is claimed."
-    )
-    assert "no known effect describes" in verdict_sentence("unexplained", [])
-
-
-def test_each_joint_that_stays_unexplained_has_a_line_whatever_its_words() -> None:
-    left: Any = SimpleNamespace(findings=(), unexplained="one. Joint 2: of one\nthe other")
-    assert html._sentences(left) == "<ul><li>one. Joint 2: of one<li>the other</ul>"
-
-
-def test_a_number_that_rounds_to_nothing_has_no_sign() -> None:
-    assert number(Estimate(-0.001, 0.1, "rad")) == "0.00 ± 0.10 rad"
-    assert number(Estimate(-0.0, 0.0, "rad")) == "0 rad"

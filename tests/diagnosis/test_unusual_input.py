@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +15,6 @@ from reality import KNOWN, RATE
 
 from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_motion, check_signals
-from zendsp.diagnosis.data.columns import check_units, getter
 from zendsp.diagnosis.data.plausibility import DRIVES, check_driven
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
@@ -26,14 +24,8 @@ from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.simulation.control import simulate_loop
 from zendsp.physics.term_numbers import kernel_model
-from zendsp.recording import Recording, read_table
 
 Columns = dict[str, np.ndarray]
-ALONE: dict[str, Any] = {
-    "sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.1}},
-    "columns": {"time": "t", "position": "q", "command": "tau"},
-}  # fmt: skip
-
 
 UNUSUAL = {
     "saturated at the stated limit": (reality.Machine(limit=0.25), {}),
@@ -321,77 +313,6 @@ def test_a_joint_without_a_drive_is_accepted_beside_a_driven_one(
     pole: Any = SimpleNamespace(records=[[silent, silent]])
     with pytest.raises(RecordingError, match="zero throughout"):
         check_motion(pole, model, ["run"])
-
-
-def test_units_of_sliding_joints_beside_turning_ones_are_known() -> None:
-    made = Recording.from_columns(
-        {"q": np.ones((5, 2))}, sample_time=0.001, units={"q": "mm, rad"}
-    )
-    arm = replace(parse_model(ALONE), joint_kinds=("linear", "rotary"))
-    check_units("run", made, {"position": "q"}, arm)
-    values = getter(made)[1]
-    assert values("q")[0].tolist() == [1e-3, 1.0] and values("q[1]")[0] == 1.0
-    odd = replace(made, channels=(replace(made.channels[0], unit="mm, furlong"),))
-    with pytest.raises(RecordingError, match=r"'q\[1\]': the unit 'furlong' is not known"):
-        check_units("run", odd, {"position": ["q[0]", "q[1]"]}, arm)
-
-
-@pytest.mark.parametrize(
-    ("role", "header", "mechanism", "unit", "said"),
-    [
-        ("command", "x [N m]", "rotary", "A", r"'x' is in N m: .*\[actuator\] unit is A: its"),
-        ("command", "x [mA]", "rotary", "A", ""),
-        ("command", "x [Nm]", "rotary", "mN m", ""),
-        ("command", "x [V]", "rotary", "", ""),  # that of a command may be any
-        ("command", "x [ch1]", "rotary", "A", ""),
-        ("position", "x [mm]", "rotary", "", r"'x' is in m: .* a position is in rad"),
-        ("position", "x [mm]", "linear", "", ""),
-        ("position", "x [A]", "python", "", r"'x' is in A: .* a position is in rad or m"),
-        ("position", "x [mm]", "python", "", ""),  # the simulator knows
-        ("velocity", "x [rpm]", "rotary", "", ""),
-        ("velocity", "x [1/s]", "rotary", "", ""),
-        ("velocity", "x [deg]", "rotary", "", r"'x' is in rad: .* a velocity is in rad/s"),
-        ("torque_measured", "x [A]", "rotary", "", r"'x' is in A: .* a torque_measured is in N m"),
-        ("reference", "x [furlong]", "rotary", "", r"'furlong' is not known"),
-    ],
-)  # fmt: skip
-def test_a_unit_that_contradicts_the_model_is_refused(
-    tmp_path: Path, role: str, header: str, mechanism: str, unit: str, said: str
-) -> None:
-    file = tmp_path / "run.csv"
-    file.write_text("\n".join([header, *map(str, range(9))]))
-    model = parse_model({**ALONE, "actuator": {"unit": unit}})
-    model = replace(model, kind=mechanism)
-    if not said:
-        check_units("run", read_table(file), {role: "x"}, model)
-        return
-    with pytest.raises(RecordingError, match=said):
-        check_units("run", read_table(file), {role: "x"}, model)
-
-
-@pytest.mark.parametrize("unit", ["counts", "furlong"])
-def test_a_position_in_an_unknown_unit_needs_its_factor_in_the_model(
-    tmp_path: Path, unit: str
-) -> None:
-    file = tmp_path / "run.csv"
-    file.write_text("\n".join([f"x [{unit}]", *map(str, range(9))]))
-    model, columns = parse_model(ALONE), {"position": "x"}
-    with pytest.raises(RecordingError, match=rf"\[sensor\] matrix = \[\[rad \(m\) per {unit}"):
-        check_units("run", read_table(file), columns, model)
-    told = parse_model({**ALONE, "sensor": {"matrix": [[0.00153]]}})
-    check_units("run", read_table(file), columns, told)
-
-
-def test_recordings_of_an_arm_with_a_one_joint_model_are_refused_with_the_kinds_that_fit() -> None:
-    t = 0.001 * np.arange(4000)
-    q = np.stack([np.sin(3.0 * t), np.sin(5.0 * t)], axis=1)
-    arm = Recording.from_columns({"q": q, "tau": -q}, sample_time=0.001)
-    words = r'planar2r \(two\), urdf or mjcf.*position = "q\[0\]"'
-    with pytest.raises(RecordingError, match=words):
-        read_signals(arm, parse_model(ALONE))
-    each = {"time": "t", "position": ["q[0]", "q[1]"], "command": ["tau[0]", "tau[1]"]}
-    notes = read_signals(arm, parse_model({**ALONE, "columns": each})).notes
-    assert any("takes each joint by itself" in note for note in notes)
 
 
 @pytest.mark.parametrize(("second", "told"), [(0.0, False), (0.3, True)])

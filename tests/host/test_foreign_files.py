@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-import gzip
-import io
-import json
-import os
 import sys
-import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import scipy.io
+from makers import N, Q, T, U, bag, hdf5, json_mcap, mdf, tdms, tdms_with_a_time_channel
 
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
-from zendsp.recording.formats import apart
-
-RNG = np.random.default_rng(7)
-N = 400
-T = np.arange(N) * 0.002
-Q = np.cumsum(RNG.normal(size=(N, 2)), axis=0) * 0.01
-U = RNG.normal(size=N)
 
 
 def test_time_stamps_of_parquet_are_seconds(tmp_path: Path) -> None:
@@ -52,17 +39,6 @@ def test_own_recordings_keep_their_units_and_tables_of_them_are_si(tmp_path: Pat
         assert np.allclose(read_table(path)["q"], Q)
 
 
-def hdf5(path: Path) -> Path:
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        run = file.create_group("run")
-        run["t"], run["q"], run["u"] = T * 1e3, np.degrees(Q), U
-        run["t"].attrs["units"], run["q"].attrs["unit"] = "ms", "deg"
-        run["who"], file["rate"] = "me", 500.0
-    return path
-
-
 @pytest.mark.parametrize("name", ["run.h5", "run.mat"])
 def test_hdf5_without_its_package_is_refused_with_its_pip_line(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -71,94 +47,6 @@ def test_hdf5_without_its_package_is_refused_with_its_pip_line(
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(RecordingError, match=r"needs h5py: pip install 'zendsp\[hdf5\]'"):
         read_table(made)
-
-
-def tdms(path: Path) -> Path:
-    from nptdms import ChannelObject, TdmsWriter
-
-    clock = {"wf_increment": 0.002, "wf_start_offset": 0.0}
-    with TdmsWriter(path) as writer:
-        writer.write_segment([
-            ChannelObject("DAQ", "q1", np.degrees(Q[:, 0]), {**clock, "unit_string": "deg"}),
-            ChannelObject("DAQ", "q2", np.degrees(Q[:, 1]), {**clock, "unit_string": "deg"}),
-            ChannelObject("DAQ", "u", U, clock),
-        ])  # fmt: skip
-    return path
-
-
-def tdms_with_a_time_channel(path: Path) -> Path:
-    from nptdms import ChannelObject, TdmsWriter
-
-    columns = {"Time (ms)": T * 1e3, "q1": Q[:, 0], "q2": Q[:, 1], "u": U}
-    units = {"Time (ms)": "ms"}
-    with TdmsWriter(path) as writer:
-        writer.write_segment(
-            [
-                ChannelObject("g", n, v, {"unit_string": units.get(n, "")})
-                for n, v in columns.items()
-            ]
-        )
-    return path
-
-
-def mdf(path: Path) -> Path:
-    from asammdf import MDF, Signal
-
-    with MDF(version="4.10") as file:
-        file.append(
-            [Signal(np.degrees(Q[:, k]), T, unit="deg", name=f"q{k + 1}") for k in (0, 1)],
-            comment="fast",
-        )
-        file.append([Signal(U[::2], T[::2], unit="V", name="u")], comment="slow")
-        file.save(path)
-    return path
-
-
-def json_mcap(path: Path) -> Path:
-    from mcap.writer import Writer
-
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("Sample", "jsonschema", b'{"type": "object"}')
-        channel = writer.register_channel("/motor", "json", schema)
-        for k in range(N):
-            body = {"position": list(Q[k]), "effort": U[k]}
-            stamp = 1_700_000_000_000_000_000 + k * 2_000_000
-            writer.add_message(channel, stamp, json.dumps(body).encode(), stamp)
-        writer.finish()
-    return path
-
-
-def bag(path: Path, plugin: str, *, command_every: int = 1, command_from: int = 0) -> Path:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    state, header = store.types["sensor_msgs/msg/JointState"], store.types["std_msgs/msg/Header"]
-    stamp = store.types["builtin_interfaces/msg/Time"]
-    array = store.types["std_msgs/msg/Float64MultiArray"]
-    layout, words = store.types["std_msgs/msg/MultiArrayLayout"], store.types["std_msgs/msg/String"]
-    with Writer(path, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
-        joints = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
-        commands = writer.add_connection("/effort/commands", array.__msgtype__, typestore=store)
-        log = writer.add_connection("/log", words.__msgtype__, typestore=store)
-        for k in range(N):
-            ns = 1_700_000_000_000_000_000 + k * 2_000_000
-            head = header(stamp(ns // 10**9, ns % 10**9), "base")
-            both = state(head, ["elbow", "wrist"], Q[k], np.zeros(2), np.array([]))
-            late = ns + 300_000 + 200_000 * (k % 3)  # received later than measured, and with jitter
-            writer.write(joints, late, store.serialize_cdr(both, state.__msgtype__))
-            if k >= command_from and k % command_every == 0:
-                writer.write(
-                    commands,
-                    ns - 1000,
-                    store.serialize_cdr(array(layout([], 0), U[k : k + 1]), array.__msgtype__),
-                )
-        writer.write(
-            log, 1_700_000_000_000_000_000, store.serialize_cdr(words("started"), words.__msgtype__)
-        )
-    return path
 
 
 def positions(table: Any) -> Any:
@@ -255,120 +143,6 @@ def test_a_flipped_byte_never_crashes_the_reader(name: str, tmp_path: Path) -> N
             read_table(path)
         except RecordingError as error:
             assert path.name in str(error)
-
-
-def vast_hdf5(path: Path) -> Path:
-    with pytest.importorskip("h5py").File(path, "w") as file:
-        file.create_dataset("q", (10**13,), dtype="f8", chunks=(1 << 16,))
-    return path
-
-
-def vast_npz(path: Path) -> Path:
-    header = io.BytesIO()
-    facts = {"descr": "<f8", "fortran_order": False, "shape": (10**13,)}
-    np.lib.format.write_array_header_1_0(header, facts)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("q.npy", header.getvalue() + bytes(800))
-    return path
-
-
-@pytest.mark.parametrize(
-    ("make", "name"), [(vast_hdf5, "vast.h5"), (vast_hdf5, "vast.mat"), (vast_npz, "vast.npz")]
-)
-def test_a_small_file_that_says_it_is_vast_is_refused_before_anything_is_allocated(
-    make: Callable[[Path], Path], name: str, tmp_path: Path
-) -> None:
-    path = make(tmp_path / name)
-    assert path.stat().st_size < 10_000
-    with pytest.raises(RecordingError, match=rf"{name}: says that it holds 80000\.0 GB"):
-        read_table(path)
-
-
-@pytest.mark.parametrize("name", ["taken.h5", "taken.mat"])
-def test_a_file_takes_no_bytes_of_another_file_for_its_numbers(name: str, tmp_path: Path) -> None:
-    secret = tmp_path / "secret"
-    secret.write_bytes(bytes(range(40)))
-    path = tmp_path / name
-    with pytest.importorskip("h5py").File(path, "w", userblock_size=512) as file:
-        file["t"] = np.arange(5.0)
-        file.create_dataset("q", (5,), "f8", external=[(str(secret), 0, 40)])
-    with path.open("r+b") as raw:
-        raw.write(b"MATLAB 7.3 MAT-file, written by a test")
-    with pytest.raises(RecordingError, match=r"q.? stands in another file"):
-        read_table(path, columns=["q"])
-
-
-@pytest.mark.parametrize("name", ["run.mat", "run.h5"])
-@pytest.mark.parametrize("how", ["link", "virtual", "link in a group"])
-def test_a_file_follows_no_link_to_another_file(name: str, how: str, tmp_path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
-    other, path = tmp_path / "other.h5", tmp_path / name
-    with h5py.File(other, "w") as file:
-        file["q"] = np.arange(5.0)
-    with h5py.File(path, "w", userblock_size=512) as file:
-        file["t"] = np.arange(5.0)
-        if how == "virtual":
-            layout = h5py.VirtualLayout((5,), "f8")
-            layout[:] = h5py.VirtualSource(str(other), "q", (5,))
-            file.create_virtual_dataset("q", layout)
-        else:
-            group = file.create_group("run") if how == "link in a group" else file
-            group["q"] = h5py.ExternalLink(str(other), "q")
-    with path.open("r+b") as raw:
-        raw.write(b"MATLAB 7.3 MAT-file, written by a test")
-    with pytest.raises(RecordingError, match=r"q.? stands in another file"):
-        read_table(path, columns=["run.q" if how == "link in a group" else "q"])
-
-
-@pytest.mark.parametrize("name", ["run.csv.gz", "run.mat"])
-def test_a_small_file_that_unpacks_to_more_than_there_is_room_for_is_refused(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    memory, path = tmp_path / "meminfo", tmp_path / name
-    memory.write_text("MemAvailable: 1000 kB\n")
-    monkeypatch.setattr("zendsp.recording.formats.raw.MEMORY", memory)
-    if name.endswith(".gz"):
-        path.write_bytes(gzip.compress(b"t,q\n" + b"0.001,0\n" * 100_000))
-    else:
-        scipy.io.savemat(path, {"q": np.zeros(100_000)}, do_compression=True)
-    assert path.stat().st_size < 20_000
-    with pytest.raises(RecordingError, match=r"says that it holds 0\.0 GB"):
-        read_table(path, columns=["q"])
-
-
-def test_cells_that_hold_one_another_are_refused_soon(tmp_path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
-    path = tmp_path / "run.mat"
-    with h5py.File(path, "w", userblock_size=512) as file:
-        file["t"] = np.arange(5.0)
-        file["#refs#/0"] = np.arange(5.0)
-        for k in range(12):  # ten of ten of ten …: 10^12 parts
-            inner = np.full((10, 1), file[f"#refs#/{k}"].ref, dtype=h5py.ref_dtype)
-            file.create_dataset(f"#refs#/{k + 1}", data=inner)
-        file.create_dataset("q", data=inner)
-    with path.open("r+b") as raw:
-        raw.write(b"MATLAB 7.3 MAT-file, written by a test")
-    with pytest.raises(RecordingError, match="cells that hold one another"):
-        read_table(path, columns=["q"])
-
-
-def test_one_process_reads_many_files_and_another_follows_where_it_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    mdf(tmp_path / "run.mf4")
-    monkeypatch.chdir(tmp_path)
-    first = read_table("run.mf4")
-    (reader,) = (r for (pid, _), r in apart._readers.items() if pid == os.getpid())
-    monkeypatch.chdir("/")  # a name is meant from where it is given
-    again = read_table(tmp_path / "run.mf4")
-    assert list(apart._readers.values()) == [reader]
-    reader.process.kill()
-    reader.process.wait()
-    monkeypatch.chdir(tmp_path)
-    third = read_table("run.mf4")
-    assert list(apart._readers.values()) != [reader]
-    for other in (again, third):
-        assert all(np.array_equal(first[c], other[c], equal_nan=True) for c in first.columns)
 
 
 def test_a_bag_with_bad_metadata_is_refused_in_a_few_words(tmp_path: Path) -> None:

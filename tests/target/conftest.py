@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from waiting import until
 
+from zendsp.link import Target, local
 from zendsp_target.runtime import Runtime
 
 
@@ -49,3 +50,23 @@ def wait_for() -> Callable[..., None]:
         until(done, "what the test waits for", shown)
 
     return wait
+
+
+@pytest.fixture(scope="module")
+def process() -> Iterator[Target]:
+    """A host's link to a simulated arm on the fast clock."""
+    target = local("imi_planar", clock="fast", options=["--speed", "20"])
+    yield target
+    target.close()
+
+
+@pytest.fixture
+def target(process: Target) -> Iterator[Target]:
+    """The same with a program, and afterwards nobody's and at rest."""
+    process.download("pd.c")
+    yield process
+    process.take_command(force=True)
+    process.acknowledge()
+    process.pause()
+    process.drive_auto()
+    process.release_command()

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from attempts import attempting
 from samples import run
 from waiting import PATIENCE_S, until
 
@@ -23,41 +24,6 @@ from zendsp_target.runtime import Runtime
 from zendsp_target.runtime.process.strays import Strays
 
 Make = Callable[..., Runtime]
-
-PROGRAM = """
-#define _GNU_SOURCE
-#include "isr.h"
-#include <asm/sockios.h>
-#include <asm/ioctls.h>
-#include <errno.h>
-#include <fcntl.h>
-#include <pthread.h>
-#include <sched.h>
-#include <signal.h>
-#include <spawn.h>
-#include <stdlib.h>
-#include <sys/ioctl.h>
-#include <sys/resource.h>
-#include <sys/socket.h>
-#include <sys/syscall.h>
-#include <sys/wait.h>
-#include <unistd.h>
-extern char **environ;
-static double answer = -1.0, refused;
-static char *const sleeper[] = {"sleep", "%(mark)s", NULL};
-static int started(void) { execvp("sleep", sleeper); _exit(0); }
-static inline long attempt(void) { %(how)s }
-%(constructor)s
-void UserInit(void) {
-    SIGNAL(answer, "", ""); SIGNAL(refused, "", "");
-    (void)started; (void)sleeper; (void)attempt;
-    %(init)s
-}
-void UserISR_INT2(void) {
-    %(isr)s
-}
-"""
-TRY = "{ errno = 0; answer = (double)attempt(); refused = errno; }"
 
 WAYS = {
     "fork": "const pid_t p = fork(); if (p == 0) started(); return p;",
@@ -100,14 +66,6 @@ def _left(mark: str) -> list[int]:
     return found
 
 
-def _program(how: str, mark: str, where: str) -> str:
-    parts = {"constructor": "", "init": "", "isr": ""}
-    parts[where] = (
-        TRY if where != "constructor" else f"__attribute__((constructor)) static void c(void) {TRY}"
-    )
-    return PROGRAM % {"how": how % {"mark": mark}, "mark": mark, **parts}
-
-
 @pytest.fixture
 def mark() -> str:
     """The seconds that a process would sleep that got away; no other has this number."""
@@ -117,7 +75,7 @@ def mark() -> str:
 @pytest.mark.parametrize("where", ["constructor", "init", "isr"])
 @pytest.mark.parametrize("way", list(WAYS))
 def test_user_code_starts_no_process(make_runtime: Make, way: str, where: str, mark: str) -> None:
-    runtime = make_runtime(_program(WAYS[way], mark, where))
+    runtime = make_runtime(attempting(WAYS[way], mark, where))
     run(runtime, 3)
     assert _left(mark) == []
     values = runtime.read(["answer", "refused"])[1]
@@ -131,7 +89,7 @@ def test_user_code_starts_no_thread(make_runtime: Make, mark: str) -> None:
         "static pthread_t t; return -(long)pthread_create(&t, NULL, (void *(*)(void *))started,"
         " NULL);"
     )
-    runtime = make_runtime(_program(how, mark, "init"))
+    runtime = make_runtime(attempting(how, mark, "init"))
     assert runtime.read(["answer"])[1]["answer"] < 0.0
 
 
@@ -173,7 +131,7 @@ def test_user_code_ends_no_other_process(make_runtime: Make, mark: str) -> None:
         # Signal 0 only asks for the right to send one: where nothing holds this program, everything
         # else must live on.
         how = f"return kill({other.pid}, SIGKILL) & kill(getppid(), 0) & kill(-1, 0);"
-        runtime = make_runtime(_program(how, mark, "init"))
+        runtime = make_runtime(attempting(how, mark, "init"))
         assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
         assert other.poll() is None
     finally:
@@ -240,7 +198,7 @@ def test_user_code_reaches_no_other_process(make_runtime: Make, way: str, mark: 
     try:
         before = _treated(other.pid)
         how = REACHES[way].format(other=other.pid, terminal=os.ttyname(terminal))
-        runtime = make_runtime(_program(how, mark, "init"))
+        runtime = make_runtime(attempting(how, mark, "init"))
         assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
         assert other.poll() is None
         assert _treated(other.pid) == before
@@ -249,82 +207,6 @@ def test_user_code_reaches_no_other_process(make_runtime: Make, way: str, mark: 
         other.wait()
         os.close(master)
         os.close(terminal)
-
-
-MOST = "const struct sched_param p = {99};"
-URGENT = {
-    "scheduling": f"{MOST} return sched_setscheduler(0, SCHED_FIFO, &p);",
-    "parameter": f"{MOST} return sched_setparam(0, &p);",
-    "attributes": (
-        "unsigned long a[6] = {48 | 5ul << 32}; return syscall(SYS_sched_setattr, 0, a, 0);"
-    ),
-    "processors": (
-        "const unsigned long first = 1; return sched_setaffinity(0, 8, (cpu_set_t *)&first);"
-    ),
-    "priority": "return setpriority(PRIO_PROCESS, 0, -20);",
-}
-
-
-@pytest.mark.parametrize("where", ["constructor", "init", "isr"])
-@pytest.mark.parametrize("way", list(URGENT))
-def test_user_code_makes_itself_no_more_urgent(
-    make_runtime: Make, way: str, where: str, mark: str
-) -> None:
-    """A hanging program of the highest priority had blocked the links of all targets."""
-    runtime = make_runtime(_program(URGENT[way], mark, where))
-    run(runtime, 3)
-    assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
-
-
-@pytest.mark.parametrize("where", ["constructor", "init", "isr"])
-def test_user_code_makes_no_thread_beside_it_more_urgent(
-    make_runtime: Make, where: str, mark: str
-) -> None:
-    """By a signal, whose handler runs in that thread."""
-    program = _program(
-        "signal(SIGUSR1, climb); long sent = 0; const long own = syscall(SYS_gettid);"
-        " for (long t = own; t < own + 100; t++)"
-        " if (t != own && syscall(SYS_tgkill, getpid(), t, SIGUSR1) == 0) sent++;"
-        " usleep(100000); return sent;",
-        mark, where,
-    ).replace(
-        "static inline long attempt", f"static void climb(int n) {{ {MOST} (void)n;"
-        " sched_setscheduler(0, SCHED_FIFO, &p); }\nstatic inline long attempt",
-    )
-    runtime = make_runtime(program)
-    run(runtime, 3)
-    assert runtime.read(["answer"])[1]["answer"] >= 1.0, "the service at least"
-    threads = [int(t) for t in os.listdir(f"/proc/{runtime.runner_pid()}/task")]
-    assert {os.sched_getscheduler(t) for t in threads} == {os.SCHED_OTHER}
-
-
-def test_the_loop_alone_is_urgent_and_background_steps_back(make_runtime: Make, mark: str) -> None:
-    program = _program("return 0;", mark, "init") + "void UserBackground(void) {}\n"
-    runtime = make_runtime(program, clock="real", realtime=True)
-    pid = runtime.runner_pid()
-    threads = {int(t) for t in os.listdir(f"/proc/{pid}/task")} - {pid}
-    assert {os.sched_getscheduler(t) for t in threads} == {os.SCHED_OTHER}
-    nice = sorted(os.getpriority(os.PRIO_PROCESS, t) for t in threads)
-    own = os.getpriority(os.PRIO_PROCESS, 0)
-    assert nice == [own, min(own + 10, 19)], "service, background"
-    said = runtime.status().scheduling
-    if _may_be_urgent():
-        assert os.sched_getscheduler(pid) == os.SCHED_RR | os.SCHED_RESET_ON_FORK
-        assert said.startswith("SCHED_RR 80")
-    else:
-        assert said.startswith("normal scheduling (SCHED_RR refused: Operation not permitted)")
-
-
-def _may_be_urgent() -> bool:
-    """Whether this user may have a process run before others."""
-    with subprocess.Popen(["sleep", "300"]) as other:
-        try:
-            os.sched_setscheduler(other.pid, os.SCHED_RR, os.sched_param(80))
-        except PermissionError:
-            return False
-        finally:
-            other.kill()
-    return True
 
 
 STRAYS = {
@@ -352,7 +234,7 @@ RAW = (
 def test_without_a_filter_what_user_code_started_ends_with_it(
     tmp_path: Path, mark: str, way: str, end: str
 ) -> None:
-    program = _program(f"{STRAYS[way]} return 1;", mark, "init").replace(
+    program = attempting(f"{STRAYS[way]} return 1;", mark, "init").replace(
         "static int started", RAW + "static int started"
     )
     (tmp_path / "user.c").write_text(
@@ -387,17 +269,17 @@ def test_without_a_filter_what_user_code_started_ends_with_it(
 
 def test_user_code_takes_no_more_memory_than_it_is_given(make_runtime: Make, mark: str) -> None:
     how = "long most = 0; while (most < 4000 && malloc(1 << 20)) most++; errno = 0; return most;"
-    runtime = make_runtime(_program(how, mark, "init"), memory_mb=200.0)
+    runtime = make_runtime(attempting(how, mark, "init"), memory_mb=200.0)
     assert 100.0 < runtime.read(["answer"])[1]["answer"] < 200.0
     huge = "static volatile char huge[1 << 30]; void fill(void) { huge[0]++; }"
     with pytest.raises(Refused, match="variables take 1074 MB, and user code may take 200 MB"):
-        make_runtime(_program("return 0;", mark, "init") + huge, memory_mb=200.0)
+        make_runtime(attempting("return 0;", mark, "init") + huge, memory_mb=200.0)
     with pytest.raises(Refused, match="give 50 or more"):
-        make_runtime(_program("return 0;", mark, "init"), memory_mb=1.0)
+        make_runtime(attempting("return 0;", mark, "init"), memory_mb=1.0)
 
 
 def test_it_is_said_what_holds_user_code(make_runtime: Make, mark: str) -> None:
-    runtime = make_runtime(_program("return -1;", mark, "init"), clock="real")
+    runtime = make_runtime(attempting("return -1;", mark, "init"), clock="real")
     assert "user code starts nothing" in runtime.status().scheduling
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware import driver
+from crashing import CRASHING, GOOD
 from helpers import children
 from samples import run
 
@@ -21,33 +20,9 @@ from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 from zendsp_target.runtime.process.runner import RunnerProcess
-from zendsp_target.runtime.variables.flights import Flights
-
-CRASHING = """
-#include "isr.h"
-#include <stdlib.h>
-static double x, gain;
-static volatile int32_t when = 50, zero;
-static int *nowhere;
-static void deeper(volatile char *p) {{ volatile char here[4096]; here[0] = p ? p[0] : 0; deeper(here); }}
-void UserInit(void) {{ PARAMETER(gain, 1.0, "", NO_MIN, NO_MAX, ""); SIGNAL(x, "", ""); (void)nowhere; (void)deeper; }}
-void UserISR_INT2(void) {{
-    x = (double)SAMPLE_TICK;
-    if (SAMPLE_TICK == (uint64_t)when) {{
-        {how}
-    }}
-}}
-"""  # noqa: E501
 
 # writes doubles from an array on
 BEYOND = "volatile double *p = &x; for (volatile int i = 0; i < {}; i++) p[i] = 1.0;"
-
-GOOD = """
-#include "isr.h"
-static double x;
-void UserInit(void) { SIGNAL(x, "", ""); }
-void UserISR_INT2(void) { x += 1.0; }
-"""
 
 TRIPPING = """
 #include "isr.h"
@@ -254,91 +229,6 @@ def test_an_error_in_UserInit_is_reported_at_load(
         with pytest.raises(error, match=says):
             runtime.load(result.key)
         assert runtime.status().state == "empty"
-
-
-SAID = """FILE *f = fopen(path, "a"); if (f) { fputs("safe\\n", f); fclose(f); }"""
-PATH = """machine_config_text(config, "path", path, sizeof path);"""
-HARDWARE = driver(SAID, opened=PATH, before="static char path[256];")
-# as a card that another program has taken meanwhile: it does not open while the file is there
-ONCE = driver(
-    SAID, opened=PATH + "if (access(path, F_OK) == 0) return 1;", before="static char path[256];"
-)
-
-
-def crashing_on(hardware: str, make_runtime: Make, folder: Path) -> tuple[Runtime, Path]:
-    """A program that will crash on a driver for hardware, and the file that the driver writes."""
-    source, said = folder / "fake.c", folder / "said"
-    source.write_text(hardware)
-    runtime = make_runtime(
-        CRASHING.format(how="*nowhere = 1;"), machine=str(source), clock="real",
-        machine_config={"path": str(said)},
-    )
-    return runtime, said
-
-
-@pytest.mark.parametrize("files", [True, False], ids=["usual", "no file can be opened any more"])
-def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
-    make_runtime: Make, wait_for: Wait, tmp_path: Path, files: bool
-) -> None:
-    """Strangers that connect again and again take a target's files; so does a full computer."""
-    runtime, said = crashing_on(HARDWARE, make_runtime, tmp_path)
-    assert not runtime.machine().simulated
-    wait_for(said.exists)  # paused hardware is safe from the start
-    said.unlink()
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    try:
-        if not files:
-            resource.setrlimit(resource.RLIMIT_NOFILE, (3, most[1]))
-            with pytest.raises(OSError, match="Too many open files"):
-                os.dup(0)
-        runtime.start()
-        wait_for(lambda: runtime.status().crash != "", runtime.status)
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, most)
-    assert "SIGSEGV" in runtime.status().crash
-    assert said.read_text() == "safe\n"
-
-
-def test_hardware_is_made_safe_although_its_monitor_ran_out_of_memory(
-    make_runtime: Make, wait_for: Wait, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runtime, said = crashing_on(HARDWARE, make_runtime, tmp_path)
-    wait_for(said.exists)
-    said.unlink()
-    failed: list[int] = []
-
-    def harvest(flights: Flights) -> None:
-        failed.append(1)
-        raise MemoryError
-
-    monkeypatch.setattr(Flights, "harvest", harvest)
-    wait_for(lambda: len(failed) > 2)
-    runtime.start()
-    wait_for(lambda: runtime.status().crash != "", runtime.status)
-    assert said.read_text() == "safe\n"
-
-
-def test_a_machine_that_cannot_be_made_safe_is_told(
-    make_runtime: Make, wait_for: Wait, tmp_path: Path
-) -> None:
-    runtime, said = crashing_on(ONCE, make_runtime, tmp_path)
-    wait_for(said.exists)
-    runtime.start()
-    wait_for(lambda: runtime.status().crash != "", runtime.status)
-    assert "SIGSEGV" in runtime.status().crash
-    assert "NOT SAFE: use the machine's emergency stop" in runtime.status().crash
-
-
-def test_the_fast_clock_refuses_hardware(tmp_path: Path) -> None:
-    source = tmp_path / "fake.c"
-    source.write_text(HARDWARE)
-    with Runtime(
-        str(source), clock="fast", machine_config={"path": str(tmp_path / "said")}
-    ) as runtime:
-        result = runtime.compile({"user.c": GOOD})
-        with pytest.raises(Refused, match="fast clock needs a simulated machine") as said:
-            runtime.load(result.key)
-    assert "NOT SAFE" not in str(said.value), "it is made safe all the same"
 
 
 ORPHAN = """

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import pytest
 from textual.pilot import Pilot
-from textual.widgets import Static
+from textual.widgets import Input, Static
 
 from zendsp.errors import LinkError
 from zendsp.recording import Recording
@@ -17,6 +18,7 @@ from zendsp.reference import make_reference, save_reference
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Message
+from zendsp.tui.link_port import open_port
 from zendsp.tui.port import Port
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
@@ -94,3 +96,22 @@ def dialog_words(pilot: Pilot[None]) -> str:
     """What the dialog in sight says."""
     assert isinstance(pilot.app.screen, Message)
     return str(pilot.app.screen.query_one(".words").render())
+
+
+async def answer(pilot: Pilot[None], text: str) -> None:
+    await pilot.pause()
+    field = pilot.app.screen.query_one(Input)
+    field.value = text
+    await pilot.pause()
+    await pilot.press("enter")
+    await pilot.pause()
+
+
+@asynccontextmanager
+async def alone(
+    folder: Path, until: Until, size: tuple[int, int] = (100, 30)
+) -> AsyncIterator[tuple[Pilot[None], DiagnoseScreen]]:
+    """The application without a target, on Diagnose."""
+    app = ZendspApp(open_port, folder=folder, first="diagnose", frames=4.0)
+    async with app.run_test(size=size) as pilot:
+        yield pilot, await opened(app, pilot, until, DiagnoseScreen)

@@ -2,42 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import diagnosis_cases as cases
 import numpy as np
 import pytest
-from steps import Until, dialog_words, opened, stored_shown, text_of
-from textual.pilot import Pilot
-from textual.widgets import DataTable, Input, OptionList, Static
+from steps import Until, alone, answer, dialog_words, stored_shown, text_of
+from textual.widgets import OptionList, Static
 
 from zendsp.diagnosis.report.chart import load_chart
 from zendsp.physics import load_model
-from zendsp.recording import Recording
 from zendsp.tui import command
-from zendsp.tui.app import ZendspApp
 from zendsp.tui.diagnoses import compare, list_diagnoses
 from zendsp.tui.dialogs import Choose, Message
-from zendsp.tui.link_port import open_port
 from zendsp.tui.panels.figure import FigureView
-from zendsp.tui.runs import DATA, Outcome, store_run
 from zendsp.tui.screens import diagnose_loop
 from zendsp.tui.screens.diagnose import DiagnoseScreen
-
-
-async def _answer(pilot: Pilot[None], text: str) -> None:
-    await pilot.pause()
-    field = pilot.app.screen.query_one(Input)
-    field.value = text
-    await pilot.pause()
-    await pilot.press("enter")
-    await pilot.pause()
 
 
 def _keys(screen: DiagnoseScreen) -> list[str]:
@@ -65,20 +47,10 @@ def _model_line(screen: DiagnoseScreen) -> str:
     return screen.query_one("#given-model").render_line(0).text
 
 
-@asynccontextmanager
-async def _alone(
-    folder: Path, until: Until, size: tuple[int, int] = (100, 30)
-) -> AsyncIterator[tuple[Pilot[None], DiagnoseScreen]]:
-    """The application without a target, on Diagnose."""
-    app = ZendspApp(open_port, folder=folder, first="diagnose", frames=4.0)
-    async with app.run_test(size=size) as pilot:
-        yield pilot, await opened(app, pilot, until, DiagnoseScreen)
-
-
 @pytest.mark.covers("diagnose.start", "diagnose.add", "diagnose.model")
 async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, until: Until) -> None:
     run, model = cases.bench(tmp_path)
-    async with _alone(tmp_path, until, (80, 24)) as (pilot, screen):
+    async with alone(tmp_path, until, (80, 24)) as (pilot, screen):
         await pilot.press("s")
         assert not screen.busy, "nothing to diagnose yet, and it says so"
         await pilot.press("a")
@@ -132,7 +104,7 @@ def slow(charts, folder):
 drawing.draw_all = slow
 """,
     )
-    async with _alone(tmp_path, until) as (pilot, screen):
+    async with alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
         await pilot.press("s")
         await until(pilot, lambda: screen.shown is not None, "what is found, before it is drawn")
@@ -173,24 +145,10 @@ def test_two_diagnoses_stand_side_by_side_in_80_columns(tmp_path: Path) -> None:
     assert next_line[:at].strip() == "", "goes on in its own column"
 
 
-async def test_a_recording_of_another_folder_is_added_by_its_path(
-    tmp_path: Path, until: Until
-) -> None:
-    run, _ = cases.bench(tmp_path)
-    (tmp_path / "here").mkdir()
-    async with _alone(tmp_path / "here", until) as (pilot, screen):
-        await pilot.press("a")
-        await _answer(pilot, str(run))
-        await until(pilot, lambda: screen.chosen("fit") == [str(run)], "none lies here: its path")
-        await pilot.press("a")
-        await _answer(pilot, str(run))
-        assert screen.added == [str(run)], "it is there once"
-
-
 async def test_a_long_finding_goes_on_beside_its_label(tmp_path: Path, until: Until) -> None:
     d = cases.stored(tmp_path / "diagnoses")
     d.report["findings"][0]["sentence"] = "A spring pulls " + "and pulls " * 10 + "on joint 1."
-    async with _alone(tmp_path, until, (80, 24)) as (pilot, screen):
+    async with alone(tmp_path, until, (80, 24)) as (pilot, screen):
         screen.open(d)
         await pilot.pause()
         lines = screen.query_one("#findings", OptionList)
@@ -206,7 +164,7 @@ async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
     run, model = cases.bench(tmp_path, seconds=1.0)
     waits = "import time; print('pid', os.getpid(), flush=True); time.sleep(600)"
     monkeypatch.setattr(command, "call", lambda parent: waits)
-    async with _alone(tmp_path, until) as (pilot, screen):
+    async with alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
         for key in ("ctrl+c", "escape"):
             await pilot.press("s")
@@ -234,7 +192,7 @@ def slow(*_):
 engine.detectable = slow
 """,
     )
-    async with _alone(tmp_path, until) as (pilot, screen):
+    async with alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
         await pilot.press("s")
         await until(pilot, lambda: "slow" in screen.said, "the search is done")
@@ -255,7 +213,7 @@ async def test_a_click_on_what_has_to_wait_says_why_as_its_key_does(
 ) -> None:
     run, model = cases.bench(tmp_path, seconds=1.0)
     monkeypatch.setattr(command, "call", lambda parent: "import time; time.sleep(600)")
-    async with _alone(tmp_path, until) as (pilot, screen):
+    async with alone(tmp_path, until) as (pilot, screen):
         said: list[str] = []
         monkeypatch.setattr(screen, "say", lambda text, *_: said.append(text))
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
@@ -280,123 +238,13 @@ async def test_a_click_on_what_has_to_wait_says_why_as_its_key_does(
 async def test_a_failed_diagnosis_says_why(tmp_path: Path, until: Until) -> None:
     run, _ = cases.bench(tmp_path, seconds=1.0)
     (tmp_path / "bad.toml").write_text('name = "bad"\n')
-    async with _alone(tmp_path, until) as (pilot, screen):
+    async with alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles = [str(run)], {str(run): "fit"}
         screen.model = str(tmp_path / "bad.toml")
         await pilot.press("s")
         await until(pilot, lambda: screen.said and not screen.busy, "it ends")
         assert "bad.toml" in screen.said[-1] and "bad.toml" in text_of(screen, "#words")
         assert screen.shown is None
-
-
-@pytest.mark.long("test_files.py of journeys begins one; lost: by a key")
-async def test_a_model_is_begun_from_the_recording_where_there_is_none(
-    tmp_path: Path, until: Until
-) -> None:
-    run, model = cases.bench(tmp_path, seconds=2.0)
-    model.unlink()
-    async with _alone(tmp_path, until) as (pilot, screen):
-        screen.added, screen.roles = [str(run)], {str(run): "fit"}
-        await pilot.press("s")
-        await until(pilot, lambda: screen.said and not screen.busy, "it is begun")
-        assert screen.model == str(model), "named like the recording"
-        assert load_model(model).joints == 1
-        assert screen.shown is None, "what is asked comes before a diagnosis"
-        assert "Answer them in bench.toml" in text_of(screen, "#words")
-        await pilot.press("m")
-        await pilot.pause()
-        assert isinstance(pilot.app.screen, Choose)
-        await pilot.press("up", "enter")  # the last line: another one is begun
-        await until(pilot, lambda: screen.model != str(model), "beside the first")
-        assert Path(screen.model).name == "bench-2.toml"
-
-
-async def test_the_model_of_another_machine_is_not_taken(tmp_path: Path, until: Until) -> None:
-    (tmp_path / "mine.toml").write_text(cases.bench(tmp_path)[1].read_text())  # names itself bench
-    recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
-    store_run(tmp_path / "runs", "other", replace(recording, machine="arm"))
-    async with _alone(tmp_path, until) as (pilot, screen):
-        assert screen.model == ""
-        await pilot.press("s")
-        await pilot.pause()
-        assert isinstance(pilot.app.screen, Choose), "one of another name may be meant: it is asked"
-        await pilot.press("escape")
-        store_run(tmp_path / "runs", "own", replace(recording, machine="bench"))
-        screen.fill()
-        assert Path(screen.model).parent == tmp_path
-
-
-async def test_the_model_follows_the_machine_that_was_recorded_until_one_is_chosen(
-    tmp_path: Path, until: Until
-) -> None:
-    recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
-    store_run(tmp_path / "runs", "circle", replace(recording, machine="imi_planar"))
-    async with _alone(tmp_path, until) as (_, screen):
-        assert Path(screen.model).name == "imi_planar.toml"
-        store_run(tmp_path / "runs", "reach", replace(recording, machine="wam7"))
-        screen.fill()
-        assert Path(screen.model).name == "wam7.toml", "the other's would be refused"
-        bode = replace(recording, machine="pendulum")
-        store_run(tmp_path / "runs", "bode", bode, outcome=Outcome.RESPONSE)
-        screen.fill()
-        assert Path(screen.model).name == "wam7.toml", "of what is marked, not of the newest"
-        screen._take_model(str(Path(screen.model).with_name("imi_planar.toml")))
-        screen.fill()
-        assert Path(screen.model).name == "imi_planar.toml", "as it was chosen"
-
-
-@pytest.mark.covers("diagnose.use")
-async def test_the_last_motion_is_marked_and_others_can_be_held_out(
-    tmp_path: Path, until: Until
-) -> None:
-    recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
-    old = store_run(tmp_path / "runs", "old", recording)
-    new = store_run(tmp_path / "runs", "new", replace(recording, note="2"))
-    async with _alone(tmp_path, until) as (pilot, screen):
-        assert screen.chosen("fit") == [str(new.folder / DATA)]
-        new = store_run(tmp_path / "runs", "newer", replace(recording, note="3"))
-        screen.fill()
-        assert screen.chosen("fit") == [str(new.folder / DATA)], "made after the screen was shown"
-        bode = store_run(tmp_path / "runs", "bode", recording, outcome=Outcome.RESPONSE)
-        screen.fill()
-        assert screen.chosen("fit") == [str(new.folder / DATA)], "a small motion about one place"
-        shutil.rmtree(bode.folder)
-        screen.fill()
-        screen.query_one("#recordings", DataTable).focus()
-        await pilot.press("down", "down", "space", "space")
-        assert screen.chosen("held out") == [str(old.folder / DATA)]
-        await pilot.press("space", "up", "up", "space", "space")
-        assert not screen.chosen("fit") and not screen.chosen("held out")
-        screen.query_one("#findings", OptionList).focus()
-        await pilot.press("space")
-        assert not screen.chosen("fit"), "what is not in focus is not changed"
-
-
-async def test_names_in_a_list_are_whole_also_when_drawn_at_once(
-    tmp_path: Path, until: Until
-) -> None:
-    """The picture between the rows and Textual's next idle moment stayed: "benc" of bench.csv."""
-    async with _alone(tmp_path, until) as (pilot, screen):
-        table = screen.query_one("#recordings", DataTable)
-        screen.added = [str(tmp_path / "bench.csv")]
-        screen.fill()
-        assert "bench.csv" in table.render_line(1).text
-        await pilot.pause()
-        assert "bench.csv" in table.render_line(1).text
-
-
-async def test_two_runs_of_one_name_are_told_apart_by_their_seconds(
-    tmp_path: Path, until: Until
-) -> None:
-    recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
-    for second in (1.0, 2.0):  # of the same minute
-        run = store_run(tmp_path / "runs", "pd", recording)
-        card = run.folder / "run.json"
-        card.write_text(json.dumps(json.loads(card.read_text()) | {"created": second}))
-    async with _alone(tmp_path, until) as (_, screen):
-        table = screen.query_one("#recordings", DataTable)
-        times = {str(table.get_row_at(k)[2]) for k in range(2)}
-        assert len(times) == 2, times
 
 
 @pytest.mark.covers("diagnose.report", "diagnose.save", "diagnose.earlier", "diagnose.compare")
@@ -408,7 +256,7 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
     pages: list[str] = []
     monkeypatch.setattr(diagnose_loop, "graphical", lambda: bool(pages))
     monkeypatch.setattr("webbrowser.open", lambda url: not pages.append(url))
-    async with _alone(tmp_path, until, (200, 60)) as (pilot, screen):
+    async with alone(tmp_path, until, (200, 60)) as (pilot, screen):
         await stored_shown(pilot, until)
         await until(pilot, lambda: screen.query_one(FigureView).display, "its first figure")
         await pilot.pause()
@@ -420,7 +268,7 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         await pilot.press("down", "down", "down", "down")
         assert "ripple" in text_of(screen, "#words") and "0.002 N m" in text_of(screen, "#words")
         await pilot.press("w")
-        await _answer(pilot, str(tmp_path / "better.toml"))
+        await answer(pilot, str(tmp_path / "better.toml"))
         levels = [t.value("level") for t in load_model(tmp_path / "better.toml").terms
             if t.effect == "coulomb"]  # fmt: skip
         assert levels == [8.0, 2.0]

@@ -1,4 +1,4 @@
-"""Bridges: a running target in the viewers that people have."""
+"""Bridges: show a running target in other viewers."""
 
 from zendsp.bridge.foxglove import Bridge, foxglove
 from zendsp.bridge.rerun_viewer import rerun

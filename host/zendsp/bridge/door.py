@@ -1,8 +1,9 @@
-"""Who may use the port of a viewer: its protocol knows no users, and any web page may ask for it.
+"""Decides who may use the port of a viewer: the viewer's protocol knows no users, and any web page
+may ask for it.
 
-On the loopback the system knows whose connection it is, and a browser says which page asks. Other
-users and foreign pages are refused. All others are handed on to the server, whose own address is
-random.
+On the loopback the system tells to whom a connection belongs, and a browser says which page asks.
+Other users and foreign pages are refused. All others are passed on to the server, whose own address
+is random.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ def drawn_host() -> str:
 
 
 def welcome(origin: str) -> bool:
-    """Whether a page may come in: of this computer, or the viewer's own. A program names none, or
-    a file; ``null`` is any page that hides where it is from.
+    """Whether a page may connect: one of this computer, or the viewer's own. A program names no
+    page, or a file; ``null`` is any page that hides its origin.
     """
     try:
         found = urlsplit(origin)
@@ -54,7 +55,7 @@ def welcome(origin: str) -> bool:
 
 
 def connections(host: str, port: int) -> Iterator[tuple[int, int]]:
-    """Port and user of those who are connected to an address of this computer (Linux)."""
+    """Port and user of each connection to an address of this computer (Linux)."""
     packed = socket.inet_aton(host)
     shown = (packed[::-1] if sys.byteorder == "little" else packed).hex().upper()
     for table in ("tcp", "tcp6"):
@@ -66,7 +67,7 @@ def connections(host: str, port: int) -> Iterator[tuple[int, int]]:
 
 
 class Door:
-    """Lets viewers of this user, and of root, in to a server.
+    """Lets viewers of this user, and of root, connect to a server.
 
     Parameters
     ----------
@@ -90,13 +91,13 @@ class Door:
         background("bridge-door", self._open)
 
     def close(self) -> None:
-        """Let nobody in any more."""
+        """Accept no further connections."""
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
 
     def alone(self) -> bool:
-        """Whether everybody at the server came by this door."""
+        """Whether every connection to the server came through this door."""
         with self._lock:
             inside = set(self._inside)
         return all(port in inside for port, _ in connections(*self.behind))
@@ -149,7 +150,7 @@ class Door:
 
 
 def _head(source: socket.socket) -> bytes:
-    """The head of a request or of an answer, with what came right behind it; empty where there is
+    """The head of a request or of an answer, and the bytes right behind it; empty where there is
     none.
     """
     head = b""
@@ -162,7 +163,7 @@ def _head(source: socket.socket) -> bytes:
 
 
 def _pour(source: socket.socket, into: socket.socket) -> None:
-    """Hand on what comes, until one of both ends."""
+    """Pass on bytes until one of both ends."""
     with contextlib.suppress(OSError):
         while part := source.recv(PART):
             into.sendall(part)

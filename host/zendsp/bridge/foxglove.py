@@ -130,7 +130,7 @@ class Bridge:
         self.close()
 
     def _serve(self) -> Any:
-        """Start the server behind the door, where nobody else looks for it."""
+        """Start the server behind the door, on an address that nobody knows."""
         host = drawn_host()
         server = self._fox.start_server(
             name=f"zendsp {self.target.name}", host=host, port=0, context=self._context,
@@ -164,7 +164,7 @@ class Bridge:
                 failed = ""
 
     def _watch(self) -> None:
-        """Look at the state, and say what is new."""
+        """Read the state, and publish what is new."""
         now = self.target.status()
         old, self._known = self._known, now
         if old is None or now.program != old.program or now.t < old.t:
@@ -182,7 +182,7 @@ class Bridge:
             self._server.publish_parameter_values(self.as_parameters(changed, fresh))
 
     def _follow(self, status: m.Status) -> None:
-        """Take the signals and parameters of the program that is there now."""
+        """Use the signals and parameters of the program that is loaded now."""
         if self._view is not None:
             self._view.close()
             self._view = None
@@ -217,7 +217,7 @@ class Bridge:
         self._view = self.target.live(wanted, decimation=every, history=0.1, callback=self._rows)
 
     def _rows(self, block: LiveBlock) -> None:
-        """Hand on rows; called by the view's thread."""
+        """Publish rows; called by the view's thread."""
         if len(block.t) == 0 or not self._signals.has_sinks():
             return
         newest = time.time() - float(block.t[-1])
@@ -239,14 +239,14 @@ class Bridge:
     # -- parameters
 
     def parameters(self) -> dict[str, Assignable]:
-        """Return all parameters of the program, from one sample."""
+        """All parameters of the program, from one sample."""
         if not self._names:
             return {}
         values = self.target.read(self._names).values
         return {name: np.asarray(value).tolist() for name, value in values.items()}
 
     def as_parameters(self, names: Sequence[str], values: Mapping[str, Assignable]) -> list[Any]:
-        """Return parameters as the protocol has them."""
+        """The parameters in the form of the protocol."""
         return [self._fox.Parameter(n, value=values[n]) for n in names or values if n in values]
 
     def write(self, values: Mapping[str, Assignable]) -> None:
@@ -269,7 +269,7 @@ class Bridge:
 
 
 class _Listener:
-    """What a viewer asks for; called by the server's threads."""
+    """Handles the requests of viewers; called by the server's threads."""
 
     def __init__(self, bridge: Bridge) -> None:
         self._bridge = bridge
@@ -309,7 +309,7 @@ foxglove = Bridge  # zendsp.bridge.foxglove(target) serves it until it is closed
 def columns_of(
     names: Sequence[str], infos: dict[str, m.VariableInfo]
 ) -> list[tuple[str, slice, bool]]:
-    """Where each signal stands in a row, and whether it is one number."""
+    """The columns of each signal in a row, and whether it is a single number."""
     found, at = [], 0
     for name in names:
         width = infos[name].length if name in infos else 1
@@ -319,7 +319,7 @@ def columns_of(
 
 
 def _as_declared(name: str, value: Any, info: m.VariableInfo | None) -> Any:
-    """A number as the program has it: JSON does not tell 1 from 1.0 or true."""
+    """A number in the type that the program declares: JSON does not tell 1 from 1.0 or true."""
     if isinstance(value, dict | bytes):
         raise Refused(f"{name}: is a number or an array, not a {type(value).__name__}")
     if info is None or not isinstance(value, int | float):

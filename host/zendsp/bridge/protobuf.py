@@ -16,7 +16,7 @@ NUMBER, WORD, BYTES = 0, 1, 2  # wire types: varint, 8 bytes, bytes of a stated 
 
 
 class Rows:
-    """The form of the rows of a table: time and some signals, each one number or several.
+    """The Protobuf form of the rows of a table: time and signals, each one number or several.
 
     Parameters
     ----------

@@ -32,8 +32,8 @@ BLOCKS = ("friction_block",)
 
 
 def slots(joints: int) -> tuple[Term, ...]:
-    """Every effect that a torque can cancel, on every joint, of size zero; couplings where there
-    are two joints (between more, the mechanism makes them).
+    """Every effect that a torque can cancel, on every joint, with size zero; couplings only where
+    there are two joints (between more, the mechanism makes them).
 
     Examples
     --------
@@ -93,7 +93,7 @@ def flags(joints: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Update:
-    """What one synchronous update writes, and what it cannot cancel."""
+    """The values that one synchronous update writes, and the findings that no torque can cancel."""
 
     values: Mapping[str, float | list[float]]
     left_out: tuple[str, ...]  # sentences
@@ -102,10 +102,10 @@ class Update:
 
 
 def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Update:
-    """Values of the program's parameters that turn the given model into the improved one.
+    """The values of the program's parameters that turn the given model into the improved one.
 
-    Terms that both have, and the rigid body with what it carries, get the numbers of the fit; terms
-    that the fit replaced get size zero; what was found goes into its slot of the compensation.
+    Terms of both models, and the rigid body with what it carries, get the fitted numbers; terms
+    that the fit replaced get size zero; each finding goes into its place of the compensation.
 
     Parameters
     ----------
@@ -145,8 +145,8 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
 def bearing(
     given: Model, improved: Model, motion: Reference, stiffness: Sequence[float]
 ) -> tuple[int, ...]:
-    """Joints (1-based) whose tracking error a body that was found makes: its torque over the gain
-    of the feedback, where that is a fifth of the largest or more.
+    """Joints (1-based) whose tracking error is caused by a body that was found: those where its
+    torque over the feedback gain is at least a fifth of the largest.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def _labelled(terms: Sequence[Term], prefix: str) -> dict[str, Term]:
 
 
 def _slot(room: Mapping[str, Term], term: Term) -> str | None:
-    """The free place for a term: the same effect, joint and structure."""
+    """The place in the compensation for a term of this effect, joint and structure."""
     for label, slot in room.items():
         same = slot.effect == term.effect and slot.joint == term.joint
         if same and all(slot.value(n) == term.value(n) for n in ("from_joint", "law")):

@@ -49,8 +49,8 @@ def columns(recording: Recording, name: str) -> Array:
 
 @dataclass(frozen=True)
 class Hidden:
-    """How simulation and recording differ, per joint: in position (rad) and command (N m), and the
-    size of both.
+    """The difference between simulation and recording for each joint, in position (rad) and command
+    (N m), and the size of both.
     """
 
     position: tuple[float, ...]
@@ -69,7 +69,8 @@ class Hidden:
 
 
 def compare_loop(recording: Recording, simulated: Recording) -> Hidden:
-    """Compare a recording with the simulation of the same closed loop by the nominal model.
+    """The difference between a recording and the simulation of the same closed loop by the nominal
+    model.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def compare_loop(recording: Recording, simulated: Recording) -> Hidden:
 @dataclass(frozen=True)
 class Tracking:
     """RMS tracking error of each joint before and after the update, rad, and the sample of the
-    update; counted while the machine works.
+    update; measured while the machine works.
     """
 
     tick: int
@@ -125,8 +126,8 @@ def compare_tracking(recording: Recording, tick: int, first_s: float, last_s: fl
 
 
 def matches(finding: Finding, truth: TrueEffect) -> bool:
-    """Whether a finding, or one of those that the recordings cannot tell from it, is a concealed
-    effect.
+    """Whether a finding is a concealed effect, or one of the effects that the recordings cannot
+    tell from it is.
     """
     if of_body(finding) and truth["effect"] in finding.indistinguishable:
         return True  # the same on the next link
@@ -136,8 +137,8 @@ def matches(finding: Finding, truth: TrueEffect) -> bool:
 
 
 def in_model_frame(effect: TrueEffect, plan: Machine) -> TrueEffect:
-    """A concealed payload with its place in the frame of the model's link: the machine states it
-    behind the link's own twist (distal Denavit-Hartenberg). Other effects as they are.
+    """A concealed payload with its position in the frame of the model's link; the machine states it
+    after the link's own twist (distal Denavit-Hartenberg). Other effects are unchanged.
     """
     if effect["effect"] != "payload" or plan.kind != "dh":
         return effect
@@ -157,23 +158,21 @@ def in_model_frame(effect: TrueEffect, plan: Machine) -> TrueEffect:
 
 
 def of_body(finding: Finding) -> bool:
-    """Whether a finding is about a body, or about gravity: all joints bear it."""
+    """Whether a finding is a body or the direction of gravity, which all joints feel."""
     effect = library().get(finding.effect)  # a disturbance has no law
     return effect is not None and effect.site == "body"
 
 
 def matters(finding: Finding) -> bool:
-    """Whether a finding that is not there spoils the story: it was stated with confidence, or
-    explains a part that counts.
+    """Whether a false finding counts against the story: it was stated with confidence, or explains
+    a considerable part.
     """
     return finding.confidence >= SURE or finding.share >= PART
 
 
 @dataclass(frozen=True)
 class Refit:
-    """A number of the given model that the machine has not: of a law that is not missing, so that
-    calibration finds it.
-    """
+    """A number of the given model that calibration changed, because the machine has another."""
 
     effect: str
     joint: int  # 1-based
@@ -185,17 +184,17 @@ class Refit:
 
     @property
     def change(self) -> float:
-        """As a part of the larger of both."""
+        """The change as a fraction of the larger of both values."""
         larger = max(abs(self.value), abs(self.had))
         return abs(self.value - self.had) / larger if larger else 0.0
 
     @property
     def moved(self) -> bool:
-        """Whether it is another number than the given one."""
+        """Whether the number differs from the given one."""
         return self.change > MOVED and abs(self.value - self.had) > 3.0 * self.std
 
     def holds(self, truth: TrueEffect) -> bool:
-        """Whether it took up a concealed effect, all of it."""
+        """Whether the change took up a concealed effect completely."""
         if (self.effect, self.joint) != (truth["effect"], truth["joint"]):
             return False
         sizes = truth["parameters"]
@@ -204,8 +203,8 @@ class Refit:
 
 
 def refits(diagnosis: Diagnosis) -> tuple[Refit, ...]:
-    """The given model's own numbers with what calibration made of them: the size of each term, and
-    the inertia of a single joint.
+    """The given model's own numbers beside their calibrated values: the size of each term, and the
+    inertia of a single joint.
     """
     given, calibrated = diagnosis.given, diagnosis.calibrated
     out = []
@@ -252,7 +251,7 @@ class Judged:
 
 
 def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
-    """Compare a diagnosis with what the machine revealed.
+    """The answer of a diagnosis, compared with what the machine revealed.
 
     Parameters
     ----------
@@ -303,7 +302,7 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
 
 
 def _added(model: Model, finding: Finding) -> float:
-    """What a model has itself of that to which a finding adds."""
+    """The number of a model's own term to which a finding adds."""
     effect = library().get(finding.effect)
     symmetric = effect.symmetric if effect is not None else ""
     return summed(model, finding.joint, symmetric) if symmetric else 0.0

@@ -17,7 +17,7 @@ TRAVEL_S = 0.8  # from the end of one motion to the beginning of the next
 
 
 def join(machine: Machine, parts: Sequence[Reference]) -> Reference:
-    """Motions one after the other, each led over to the next at rest.
+    """Motions one after the other, with moves between them that begin and end at rest.
 
     Parameters
     ----------
@@ -61,7 +61,9 @@ def _multisine(
 
 
 def arm_train(machine: Machine) -> Reference:
-    """What the arm is recorded on: circles slow and fast, small sways, then a wide multisine."""
+    """The motion on which the arm is recorded: circles slow and fast, small sways, then a wide
+    multisine.
+    """
     slow = make_circle(machine, radius=0.12, x=0.48, duration=3.0)
     fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
     # Both joints reverse below 0.1 rad/s, each in its own time: without that, friction that falls
@@ -74,7 +76,7 @@ def arm_train(machine: Machine) -> Reference:
 
 
 def arm_heldout(machine: Machine) -> Reference:
-    """What the arm is judged on: another circle and another multisine."""
+    """The motion on which the arm's model is judged: another circle and another multisine."""
     circle = make_circle(machine, radius=0.1, x=0.47, y=0.08, duration=2.5, phase=2.0, turns=-1)
     return join(machine, [circle, _multisine(machine, [-0.1, 0.6], [1.3, 1.2], 5.0, 1.0)])
 
@@ -98,20 +100,21 @@ def arm_mechanism(machine: Machine, folder: Path) -> MechanismTable:
 
 
 def pendulum_train(machine: Machine) -> Reference:
-    """What the pendulum is recorded on: two multisines, small and wide."""
+    """The motion on which the pendulum is recorded: two multisines, small and wide."""
     return join(
         machine, [_multisine(machine, 0.0, 0.5, 5.0, 0.8), _multisine(machine, 0.2, 2.6, 6.0, 1.2)]
     )
 
 
 def pendulum_heldout(machine: Machine) -> Reference:
-    """What the pendulum is judged on: another multisine."""
+    """The motion on which the pendulum's model is judged: another multisine."""
     return join(machine, [_multisine(machine, 0.1, 2.4, 5.0, 1.2)])
 
 
 def pendulum_work(machine: Machine) -> Reference:
-    """One lap of the pendulum's work: it swings slower and faster in turn. At one pace all that
-    friction does near rest is done in 25 ms, sooner than a torque that is fed forward can meet it.
+    """One lap of the pendulum's work: it swings slower and faster in turn. At a constant pace all
+    that friction does near rest is over in 25 ms, sooner than a torque that is fed forward can
+    cancel it.
     """
     dt = machine.sample_time
     t = np.arange(round(12.0 / dt) + 1) * dt
@@ -146,12 +149,12 @@ def _wam_multisine(machine: Machine, share: float, period: float, f_max: float) 
 
 
 def wam_train(machine: Machine) -> Reference:
-    """What the seven-joint arm is recorded on: one multisine of all its joints."""
+    """The motion on which the seven-joint arm is recorded: one multisine of all its joints."""
     return join(machine, [_wam_multisine(machine, 0.8, 8.0, 1.0)])
 
 
 def wam_heldout(machine: Machine) -> Reference:
-    """What the seven-joint arm is judged on: another multisine."""
+    """The motion on which the seven-joint arm's model is judged: another multisine."""
     return join(machine, [_wam_multisine(machine, 0.6, 6.0, 1.2)])
 
 

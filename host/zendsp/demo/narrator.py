@@ -1,5 +1,5 @@
-"""How the story is told: steps with a spinner and times on a terminal, plain lines in a pipe,
-nothing where only JSON is wanted.
+"""Shows the story: steps with a spinner and times on a terminal, plain lines in a pipe, nothing
+where only JSON is wanted.
 """
 
 from __future__ import annotations

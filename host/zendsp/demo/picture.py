@@ -157,7 +157,7 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
 
 
 def _plain_decades(axis: Axis) -> None:
-    """Three numbers a decade: ten of them, in powers, lie on one another."""
+    """Label an axis with three numbers a decade; ten in powers would overlap."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -166,7 +166,7 @@ def _plain_decades(axis: Axis) -> None:
 
 
 def _joints(axis: Axes, tracking: Tracking) -> None:
-    """Tracking error of every joint, before and after: all of them bear a body."""
+    """Draw the tracking error of every joint, before and after: all of them feel a body."""
     at = np.arange(1, len(tracking.before) + 1)
     for values, shift, colour, name in (
         (tracking.before, -0.2, MODEL, "before"),
@@ -224,8 +224,8 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
 
 
 def _scale(axis: Axes, values: Array, headroom: float) -> float:
-    """Limits that show all but the rarest values and zero, with room for words above; the lower
-    limit.
+    """Set limits that show zero and all but the rarest values, with room for words above; return
+    the lower one.
     """
     low, high = np.quantile(np.append(values, 0.0), (0.002, 0.998))
     span = max(float(high - low), 1e-9)

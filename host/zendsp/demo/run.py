@@ -16,7 +16,7 @@ from zendsp.link import local
 
 
 def concealment(pool: tuple[str, ...], effect: str | None, seed: int | None) -> str:
-    """What the target is asked to draw from: it draws in its own process, and without a seed nobody
+    """What the target is told to draw from. It draws in its own process, and without a seed nobody
     here can repeat the draw.
 
     Examples
@@ -36,8 +36,8 @@ def run_demo(
     clock: str = "fast",
     narrator: Narrator | None = None,
 ) -> Told:
-    """Start a target that conceals an effect, find it, compensate it, reveal it, and write the
-    report and story.json.
+    """Start a target that conceals an effect, find the effect, compensate for it, reveal it, and
+    write the report and story.json.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def _write(told: Told, out: Path, teller: Narrator) -> list[Path]:
 
 
 def _seed(told: Told) -> str:
-    """By which the target drew, revealed with the truth."""
+    """The seed with which the target drew, which the truth contains."""
     return told.truth.source.removeprefix("seed:") if told.truth else "?"
 
 

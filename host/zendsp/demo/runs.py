@@ -1,4 +1,6 @@
-"""Runs of the story on the target: every one from a fresh start, recorded from the first sample."""
+"""Runs of the story on the target: each starts the program anew and is recorded from the first
+sample.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,7 @@ class Machine:
         return recording
 
     def _refuse_trip(self, note: str) -> None:
-        """Say why the machine stopped itself, if it did, and make it ready for another run."""
+        """Raise an error where the machine tripped, and make it ready for another run."""
         trip = self.target.status().trip
         if trip is not None and trip.reason:
             self.target.acknowledge()
@@ -95,7 +97,9 @@ class Machine:
         }
 
     def simulate(self, motion: Reference) -> Recording:
-        """The same program and motion against the model that the host believes, in closed loop."""
+        """The same program and motion, simulated in closed loop with the model that the host
+        believes.
+        """
         n = self.model.joints
         return simulate(
             sources(self.model),

@@ -1,5 +1,4 @@
-"""What the story needs of a machine: its nominal model, gains, and the motions that are recorded
-and followed.
+"""The machines of the story: nominal model, gains, and the motions that are recorded and followed.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """The story: a machine conceals physics; it is recorded, diagnosed over the link, compensated while
-it runs, and then it tells the truth.
+it runs, and then reveals the truth.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Recorded:
 
 @dataclass
 class Told:
-    """Everything that the story made, in the order in which it happened."""
+    """The results of the story, in their order."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -69,8 +69,8 @@ class Told:
 
     @property
     def joint(self) -> int:
-        """The joint (1-based) that shows it: where it was found, or of a body where the tracking
-        error was largest.
+        """The joint (1-based) to show: where the effect was found, or, for a body, where the
+        tracking error was largest.
         """
         found = self.diagnosis.findings
         if not found:
@@ -82,7 +82,7 @@ class Told:
 
     @property
     def found(self) -> str:
-        """What was found, in a line."""
+        """The findings in a line."""
         findings = self.diagnosis.findings
         named = [f"{f.effect.replace('_', ' ')} on joint {f.joint}" for f in findings]
         if not findings:
@@ -91,8 +91,8 @@ class Told:
 
     @property
     def refits(self) -> tuple[Refit, ...]:
-        """Numbers of the given model that calibration had to move: where nothing else is missing,
-        or where the finding is just that.
+        """Numbers of the given model that calibration had to change: where nothing else is missing,
+        or where the finding is such a number.
         """
         moved = [refit for refit in refits(self.diagnosis) if refit.moved]
         if self.diagnosis.verdict != "complete":
@@ -102,12 +102,12 @@ class Told:
 
     @property
     def calibrated(self) -> bool:
-        """Whether all that was found is numbers of the given model."""
+        """Whether numbers of the given model are all that was found."""
         return bool(self.refits) and len(self.refits) >= len(self.diagnosis.findings)
 
     @property
     def true(self) -> bool:
-        """Whether all of it holds."""
+        """Whether the findings, the fit and the compensation are all right."""
         return not self.failures
 
 
@@ -256,8 +256,8 @@ def _separate(machine: Machine, d: Diagnosis, narrator: Narrator) -> Recording |
 def _within_limits(
     machine: Machine, q: Array, period: float, narrator: Narrator
 ) -> Reference | None:
-    """A proposed motion about its middle, as large as the machine may play it; None where not even
-    two fifths of it.
+    """A proposed motion, scaled about its middle to the machine's limits; None where less than two
+    fifths of it would remain.
     """
     middle = q.mean(axis=0)
     for part in (1.0, 0.8, 0.6, 0.4):
@@ -324,7 +324,7 @@ def _short(value: float | str) -> str:
 
 
 def compared(name: str, value: float, std: float, true: float, unit: str, had: float) -> str:
-    """Say a number beside the truth, and of a sum what is concealed of it."""
+    """A sentence with a number beside the truth; of a sum, with its concealed part."""
     of = "" if unit == "1" else f" {unit}"
     parts = f": the concealed {true - had:.4g} and the given model's {had:.4g}" if had else ""
     return f"{name}: found {with_std(value, std)}, true {true:.4g}{of}{parts}"

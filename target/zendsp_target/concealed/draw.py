@@ -47,7 +47,7 @@ MACHINES: dict[str, Usual] = {
     ),
     # one joint: nothing to couple with
     "pendulum": Usual((Scale(0.1, 0.005, 2.07e-3, 5.0, 0.167, 0.3),), frozenset({"coupling"})),
-    # a saturation below what holds the arm up would drop it
+    # a saturation below the torque that holds the arm up would drop it
     "wam7": Usual(
         tuple(
             Scale(*row)

@@ -74,12 +74,12 @@ class Programs:
         own, for_machine = split_options(options)
         config |= for_machine
         self._concealed = load_concealed(concealed, machine, config)
-        self.options = dict(config)  # which a host may know: nothing of what is concealed
+        self.options = dict(config)  # for hosts: without what is concealed
         config |= self._concealed.config()
         self.settings = Settings(machine, config, rate_hz, clock, **own)
         layout()
         build_runner()
-        build_machine(machine)  # what does not compile shall say so now, not at the first load
+        build_machine(machine)  # so that an error is reported now, not at the first load
         self.folder = SharedFolder()
         self._page = make_stop_page(self.folder.path)
         self._stop = ffi_address(self._page.pointer("stop_page")[0], "stop")

@@ -22,9 +22,9 @@ COMMANDING = (
     "set_drive", "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "run_begin",
     "run_end",
 )
-# of these, what changes values only
+# those of them that only change values
 CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
-# fields that say so of other requests by which a host is one whose loss matters
+# fields of other requests after which the loss of the host matters
 WATCHED = {"start": "attended", "run_begin": "moves"}
 SEEN_S = 1.0  # for the token of a host to arrive after its first request
 
@@ -102,7 +102,7 @@ class Guard:
 
         def done() -> Any:
             result = do()
-            if not self.sees(by):  # lost in between: nothing was its own yet
+            if not self.sees(by):  # lost in between, before anything counted as its own
                 self.lost(by)
             return result
 

@@ -28,7 +28,7 @@ THREADS = {"quick": 1, "sync": 1, "stop": 1, "slow": 2, "bulk": 3}
 # Of the quick lane, what waits for nothing: the lane's own thread does it. Waiters do the rest.
 AT_ONCE = frozenset(("read", "write", "check", "status"))
 REPEATED = ("quick", "sync")  # lanes in which the same requests come thousands of times
-MOST_HOSTS = 1000  # that have commanded or moved the machine, by name
+MOST_HOSTS = 1000  # names of hosts that have commanded or moved the machine
 WRITE = verbs.VERBS["write"]
 COMMAND = verbs.VERBS["drive"]
 
@@ -124,7 +124,7 @@ class Requests:
         reply: bytes | bytearray,
     ) -> None:
         """Send a reply, also to those who sent the same request again meanwhile."""
-        # first: who waits is spared the rest, and who asks again until then is answered below
+        # first, so that nobody waits for the rest; who asks again meanwhile is answered below
         send(query, key, reply)
         if ticket is not None:
             for again in self.service.once.finish(ticket, reply):

@@ -28,9 +28,9 @@ from zendsp_target.threads import start_thread
 log = logging.getLogger(__name__)
 STREAMS = range(1, 8)
 SHORTEST_S = 0.001  # between polls: half of the promised lag
-LONGEST_S = 3600.0  # what is longer is as good as never, and no clock takes it
+LONGEST_S = 3600.0  # more is as good as never, and too much for the clocks
 SHORTEST_FAST_S = 0.01  # where simulated time runs ahead, viewers cannot follow every row anyway
-RING_S = 0.5  # held for a poll that comes late
+RING_S = 0.5  # of rows that are held, for a poll that is late
 RETRY_S = 0.25  # after the stream's program went away
 LOOK_S = 1.0  # between looks whether anybody still subscribes
 UNWATCHED_S = 5.0  # then a stream ends: its viewer went without saying so

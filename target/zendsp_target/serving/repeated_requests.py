@@ -29,11 +29,11 @@ LONGEST = 65536  # bytes of a request that is kept
 MOST = 64  # requests; a host that asks for ever new ones starts over
 _FLOATS = frozenset((float,))
 _FLOAT = struct.Struct(">d")  # what MessagePack puts behind the byte that announces a double
-_COUNT = struct.Struct(">Q")  # likewise
+_COUNT = struct.Struct(">Q")  # likewise for a count
 # a count that takes all of its eight bytes, which are no text: it stands nowhere else in a reply
 _LARGEST = 2**64 - 1
 _PROBE = -0.1  # likewise
-# how MessagePack writes a number that is not negative: its bytes, by the first; a small one is one
+# length of a number that is not negative in MessagePack, by its first byte; a small one is one byte
 _NUMBER = {0xCC: 2, 0xCD: 3, 0xCE: 5, 0xCF: 9}
 _SMALL = 0x7F  # the largest of these
 _DOUBLE = b"\xcb"  # what announces a double
@@ -46,9 +46,10 @@ class Repeats:
 
     def __init__(self, runtime: RuntimeApi, drives: Drives, lane: str) -> None:
         self._runtime, self._drives, self._lane = runtime, drives, lane
-        # by the beginning of a request, before what may change; None: it has no shorter way
+        # by the beginning of a request, up to what may change; None: it has to be decoded
         self._answers: dict[bytes, Answer | None] = {}
-        self._beginnings: dict[int, tuple[int, ...]] = {}  # their lengths, by that of the request
+        # lengths of such beginnings, by the length of the request
+        self._beginnings: dict[int, tuple[int, ...]] = {}
 
     def answer(self, request: bytes) -> bytes | bytearray | None:
         """The reply, which holds until the next call; None where the request has to be decoded.

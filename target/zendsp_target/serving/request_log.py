@@ -44,7 +44,7 @@ class _Links:
     """The connections of one user, that which was quiet longest first."""
 
     memories: OrderedDict[bytes, _Memory] = field(default_factory=OrderedDict)
-    # until then, one that is not known may be one that was dropped too early, s
+    # s; until then an unknown connection may be one that was dropped too early
     unsure: float = 0.0
 
 

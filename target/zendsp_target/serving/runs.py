@@ -94,7 +94,7 @@ class Runs:
         moves = any(run.moves for run in runs)
         policy = self._drives.host_gone(host, moves)
         if (moves and policy == HostLost.FINISH) or self._drives.commander not in ("", host):
-            return  # it goes on as it was set; or it is somebody else's machine now
+            return  # it goes on as it was set, or somebody else commands the machine now
         if runs:
             self._runtime.cancel(lambda author: author == host)
         deadline = time.monotonic() + STANDS_S

@@ -41,9 +41,9 @@ class Turns:
     def __init__(self, waiting: Any, who: Callable[[Any], str | bytes] = asker) -> None:
         self._waiting, self._who = waiting, who
         self._lock = threading.Lock()
-        self._of: dict[str | bytes, deque[Any]] = {}  # whose turn it is, first
+        self._of: dict[str | bytes, deque[Any]] = {}  # by asker, in the order of their turns
         self._count = 0
-        # of each thread to which what comes in is handed by itself; list methods need no lock
+        # an item for each thread that waits in Zenoh's queue itself; list methods need no lock
         self._asleep: list[None] = []
 
     def next(self) -> Any:
@@ -55,7 +55,7 @@ class Turns:
             There will be none any more.
         """
         with self._lock:
-            for _ in range(0 if self._asleep else SHARE):  # more may come in all the while
+            for _ in range(0 if self._asleep else SHARE):  # more may come in meanwhile
                 query = self._waiting.try_recv()
                 if query is None:
                     break
@@ -78,7 +78,7 @@ class Turns:
         queue = self._of.get(who)
         if queue is not None and len(queue) >= SHARE:
             queue.popleft().drop()
-        elif self._count >= WAITING:  # whoever has most gives way
+        elif self._count >= WAITING:  # whoever has most loses one
             longest = max(self._of.values(), key=len)
             if len(longest) == 1:
                 query.drop()

@@ -87,7 +87,7 @@ def placed(settings: Settings, place: Place) -> Settings:
         Of this loop.
     """
     cpus = sorted(os.sched_getaffinity(0))
-    # from the last on: interrupts and most other work gather on the first
+    # from the last CPU on: interrupts and most other work run on the first ones
     cpu = settings.cpu if settings.cpu >= 0 else cpus[-1 - place.number % len(cpus)]
     alone = place.number < len(cpus)
     spin_us = settings.spin_us if settings.spin_us >= 0.0 else SPIN_US if alone else 0.0

@@ -55,7 +55,7 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path, number: i
     control.spin_us, control.speed = max(settings.spin_us, 0.0), settings.speed
     control.hang_s = settings.hang_s
     control.memory = round(settings.memory_mb * 1e6)
-    # which load of the session this is: noise goes on, it does not begin again
+    # which load of the session this is: noise continues instead of beginning again
     given = dict(settings.machine_config) | {"load": str(number)}
     if is_model(settings.machine):
         given |= {"model": os.path.abspath(settings.machine), "clock": settings.clock}
@@ -197,8 +197,7 @@ class RunnerProcess:
         self._strays = Strays(self.pid, mark)
         self.handle = os.pidfd_open(self.pid) if hasattr(os, "pidfd_open") else -1
         if self.handle >= 0:
-            # not before the last that may ask: a number that is given anew would stand for another
-            # file
+            # not while anybody may still use it: the number of a closed file is used again
             weakref.finalize(self, os.close, self.handle)
         try:
             self._wait_ready()
@@ -292,7 +291,7 @@ class RunnerProcess:
             )
         if (
             hung and within not in _WITHIN
-        ):  # not in anybody's code: it waited for its next sample and was not woken
+        ):  # in nobody's code: it waited for its next sample and was not woken
             return (
                 f"the loop got no CPU for {self.settings.hang_s:g} s (another real-time program on"
                 f" the same CPU?): ended by the watchdog; {last}"

@@ -14,7 +14,7 @@ from zendsp_protocol.registry import born
 
 MARK = "ZENDSP_RUNNER"  # in the environment of a runner, and of all that it starts
 ROUNDS = 1000
-Process = tuple[int, str]  # its number, and when it was born: numbers are given anew
+Process = tuple[int, str]  # its number and start time, since numbers are used again
 
 
 class Strays:

@@ -84,8 +84,7 @@ class Supervisor:
             self._process.look()
             _do(each_round)
             beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
-            # a computer that stood still (or starved this thread) must not look like a program that
-            # did
+            # a computer that stood still, or starved this thread, must not make a program look hung
             passed, last = min(now - last, 2.0 * _ROUND_S), now
             # odd: within a sample. Even: the loop waits for its deadline, which a slow rate may set
             # far ahead

@@ -19,10 +19,10 @@ from zendsp_target.runtime.variables.banks import Banks
 from zendsp_target.runtime.variables.change_log import ChangeLog, Flight, cut_short
 from zendsp_target.runtime.variables.plans import ENTRY
 
-TOGETHER = 16  # so many updates are taken back together; fewer, when the supervisor comes by
+TOGETHER = 16  # updates that are taken back together; the supervisor takes back fewer
 LAST_TICK = 2**64 - 1
-_SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
-# periods up to this one are waited for awake: falling asleep and waking take as long
+_SLICE_NS = 20_000_000  # a wait looks this often whether the runner has died
+# periods up to this are waited for awake: to fall asleep and wake up takes as long
 _SHORT_NS = 100_000
 _MAX_ACKS = 4096
 _CANCELLED = -1  # in place of a sample
@@ -218,7 +218,7 @@ class Flights:
         if self._lib.monitor_shown(self._pointer, self.batches[slot]):
             return True
         applied: int = self._lib.BATCH_APPLIED
-        # in this order: what a runner that is gone has not applied, it never will
+        # in this order: a runner that has ended applies nothing more
         return not self._alive() and self._lib.monitor_load32(self._states[slot]) >= applied
 
     def harvest(self) -> None:
@@ -258,7 +258,7 @@ class Flights:
         # could be seen, and logged, before an earlier one.
         done = self._applied_by(self._lib.monitor_load64(self._newest))
         if len(done) < len(self.under_way) and not self._alive():
-            done = self._applied_by(LAST_TICK)  # those that no snapshot shows, nor ever will
+            done = self._applied_by(LAST_TICK)  # those that no snapshot will ever show
         for sequence in done:
             flight = self.under_way.pop(sequence)
             slot = flight.slot

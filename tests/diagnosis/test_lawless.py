@@ -1,0 +1,137 @@
+"""Mechanisms that act without a law of the library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import reality
+from reality import RATE
+from small_models import COULOMB, VISCOUS, data_of, model_of
+
+from zendsp.diagnosis import Diagnosis
+from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import laws
+from zendsp.diagnosis.decide import propose as proposal
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.measure import structure as measure_structure
+from zendsp.diagnosis.report.figures import charts
+from zendsp.diagnosis.report.laws import unknown_chart
+
+Decided = Callable[..., Diagnosis]
+
+
+@pytest.mark.usefixtures("searched_once")
+def test_no_function_of_the_state_is_learned_from_a_joint_that_only_reverses(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measure_structure, "counted", lambda rec, *_: np.zeros(rec.n, bool))
+    assert decided(reality.Machine()).verdict == "complete"
+
+
+@pytest.mark.parametrize(("power", "law"), [(2.0, "quadratic_drag"), (3.0, "unknown")])
+def test_a_law_is_named_where_a_neighbour_of_it_does_not_predict_better(
+    power: float, law: str, decided: Decided
+) -> None:
+    """Drag with the square of the speed, and with its cube."""
+    d = decided(reality.Machine(drag=0.002, power=power))
+    assert [(f.effect, f.mechanism) for f in d.findings] == [(law, "fluid_friction")]
+
+
+@pytest.mark.parametrize("foreign", [{"swirl": 0.008}, {"blend": 0.005}, {"sticky": 0.02}])
+def test_a_small_unknown_function_of_the_state_gets_no_name_that_it_only_resembles(
+    foreign: dict[str, float], decided: Decided
+) -> None:
+    d = decided(reality.Machine(**foreign))
+    assert d.verdict in ("missing", "unexplained")
+    assert all(f.effect == "unknown" for f in d.findings), d.findings
+    if "sticky" in foreign:
+        assert all(f.mechanism == "dry_friction" for f in d.findings), d.findings
+
+
+def test_a_function_of_state_is_seen_where_no_law_resembles_it(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decision, "sure", lambda *_: False)  # no law predicts any of it
+    assert decided(reality.Machine(swirl=0.008)).verdict != "complete"
+
+
+def test_joints_that_one_torque_over_their_positions_pulls_are_moved_at_the_same_time() -> None:
+    model = model_of(VISCOUS, COULOMB)
+    columns = reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE)
+    record = data_of(columns, model).records[0][0]
+    search: Any = SimpleNamespace(
+        final=SimpleNamespace(data=SimpleNamespace(records=[(record, record)]))
+    )
+    signals: Any = SimpleNamespace(
+        position=np.zeros((10, 2)), command=np.ones((10, 2)), sample_time=1.0 / RATE
+    )
+    given: Any = SimpleNamespace(
+        limits={}, joints=2, joint_kind=lambda j: "linear" if j == 2 else "rotary"
+    )
+
+    def proposed(*mechanisms: str) -> tuple[str, np.ndarray]:
+        found: Any = [
+            SimpleNamespace(effect="unknown", joint=k + 1, mechanism=m)
+            for k, m in enumerate(mechanisms)
+        ]
+        said = proposal._without_rival(signals, given, [search, search], found, [], 0)
+        assert said is not None and said.reference is not None
+        return said.sentence, said.reference[0]
+
+    said, q = proposed("position_torque", "position_torque")
+    assert "record joints 1 and 2 again" in said and "at the same time" in said and " m)" in said
+    assert np.ptp(q, axis=0).min() > 0.1 and abs(np.corrcoef(q.T)[0, 1]) < 0.9
+    said, q = proposed("dry_friction", "position_torque")
+    assert "record joint 1 again" in said and np.ptp(q[:, 1]) == 0
+
+
+def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(
+    decided: Decided,
+) -> None:
+    """swirl * sin(2 q̇): no law of the library."""
+    d = decided(reality.Machine(swirl=0.02))
+    (found,) = d.findings
+    assert (found.effect, found.mechanism) == ("unknown", "fluid_friction")
+    assert d.next_recording is not None and d.next_recording.reference is not None
+    assert d.next_recording.sentence.startswith("Of the torque without a law, record joint 1 again")
+    assert "depends on the speed of joint 1" in found.sentence
+    curve = found.as_dict()["curve"]  # type: ignore[typeddict-item]
+    assert (curve["variable"], curve["unit"]) == ("velocity", "rad/s")
+    speed, torque = np.array(curve["at"]), np.array(curve["torque"])
+    # calibration took up what resembles viscous and Coulomb friction
+    true, given = 0.02 * np.sin(2 * speed), np.stack([speed, np.sign(speed)], 1)
+    taken = given @ np.linalg.lstsq(given, true - torque, rcond=None)[0]
+    assert np.corrcoef(torque, true - taken)[0, 1] > 0.9
+    assert [c.name for c in charts(d) if c.section == "law"] == ["law_1_unknown_joint1"]
+    for variable in ("position", "velocity"):  # whatever the recordings of the fit say
+        said: Any = {"curve": {**found.numbers["curve"], "variable": variable}}
+        chart = unknown_chart(d, d.workings, replace(found, numbers=said), 0)  # type: ignore[arg-type]
+        assert chart is not None and chart.panels[0].xlabel.startswith(variable)
+
+
+def test_viscous_friction_that_depends_on_the_position_is_not_called_dry_friction(
+    decided: Decided
+) -> None:
+    """blend * q * q̇: its only law in the library is one of dry friction."""
+    (found,) = decided(reality.Machine(blend=0.015)).findings
+    assert (found.effect, found.mechanism) == ("unknown", "fluid_friction")
+    assert "depends on the speed and position of joint 1" in found.sentence
+    assert found.as_dict()["curve"]["against_motion"]  # type: ignore[typeddict-item]
+
+
+def test_several_mechanisms_without_a_law_are_claimed_as_one_torque(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def doubled(*arguments: Any) -> Decision:
+        found = laws.believed(*arguments)
+        other = [replace(c, mechanism="position_torque") for c in found.claims]
+        return replace(found, claims=(*found.claims, *other))
+
+    monkeypatch.setattr(decision, "believed", doubled)
+    d = decided(reality.Machine(swirl=0.02))
+    assert d.verdict != "complete" and len(d.findings) <= 1

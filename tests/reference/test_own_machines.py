@@ -1,0 +1,128 @@
+"""Machines that a user describes: their dynamics, limits and files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from zendsp.cli.reference import command
+from zendsp.errors import ReferenceError_
+from zendsp.reference import (
+    Reference,
+    check_fits,
+    load_machine,
+    make_from_file,
+    make_reference,
+    plot_reference,
+    save_reference,
+)
+
+
+def test_dynamics_of_the_wam_are_pinocchios_to_1e_9(wam_of_pinocchio: Any) -> None:
+    import pinocchio as pin
+
+    machine = load_machine("wam7")
+    friction = machine.dynamics.inverse
+    data, still = wam_of_pinocchio.createData(), np.zeros((1, 7))
+    for q, qd, qdd in np.random.default_rng(4).normal(size=(20, 3, 1, 7)):
+        rubs = friction(still, qd, still) - _rnea(pin, wam_of_pinocchio, data, still, qd, still)
+        rigid = machine.dynamics.inverse(q, qd, qdd) - rubs
+        assert np.abs(rigid - _rnea(pin, wam_of_pinocchio, data, q, qd, qdd)).max() < 1e-9
+        tau = machine.dynamics.inverse(q, qd, qdd)[0]
+        assert machine.dynamics.acceleration(q[0], qd[0], tau) == pytest.approx(qdd[0], abs=1e-6)
+    assert np.abs(rubs).max() > 0.01, "the model carries friction too"
+
+
+def _rnea(pin: Any, model: Any, data: Any, *motion: np.ndarray) -> np.ndarray:
+    return np.array([pin.rnea(model, data, *(row[0] for row in motion))])
+
+
+def test_a_machine_of_ones_own_is_a_toml_file_of_the_same_form(tmp_path: Path) -> None:
+    file = tmp_path / "slow_arm.toml"
+    file.write_text(
+        'name = "slow_arm"\nkind = "planar2r"\njoints = 2\nsample_time = 0.002\nhome = [0, 0]\n'
+        "[limits]\nposition_min = [-1, -1]\nposition_max = [1, 1]\nspeed = [0.5, 0.5]\n"
+        "acceleration = [2, 2]\ntorque = [50, 50]\n[parameters]\np1 = 1.0\np2 = 0.2\np3 = 0.1\n"
+        "l1 = 0.5\nl2 = 0.5\nviscous = [0, 0]\ncoulomb = [0, 0]\n"
+    )
+    machine = load_machine(str(file))
+    reference = make_reference("point_to_point", machine, duration=0.0, headroom=1.0, goal=0.8)
+    machine.check(reference)
+    assert (
+        reference.sample_time == 0.002 and 0.45 < abs(reference.qd).max() <= 0.5
+    ), "the shortest within its limits"
+    file.write_text(file.read_text().replace("coulomb", "colomb"))
+    with pytest.raises(ReferenceError_, match=r"no machine.*zendsp tui"):
+        load_machine(str(tmp_path / "other.toml"))
+
+
+@pytest.mark.parametrize(
+    ("line", "key", "meant"),
+    [("torqe = [1.0, 1.0]", "torqe", "torque"), ("viscus = [0.1, 0.1]", "viscus", "viscous")],
+)
+def test_a_key_of_a_machine_that_nobody_reads_is_refused(
+    tmp_path: Path, line: str, key: str, meant: str
+) -> None:
+    shipped = (
+        resources.files("zendsp.reference").joinpath("machines", "imi_planar.toml").read_text()
+    )
+    table = "[limits]" if meant == "torque" else "[parameters]"
+    path = tmp_path / "mine.toml"
+    path.write_text(shipped.replace(table, f"{table}\n{line}"))
+    with pytest.raises(
+        ReferenceError_, match=rf"mine\.toml: \{table[:-1]}.*{key}.*did you mean {meant}\?"
+    ):
+        load_machine(str(path))
+
+
+def test_a_machine_without_a_model_is_planned_for_by_its_limits_alone(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'name = "mine"\nkind = "limits"\njoints = 2\nsample_time = 0.001\nhome = [0, 0]\n'
+        "[limits]\nposition_min = [-1, -1]\nposition_max = [1, 1]\nspeed = [2, inf]\n"
+        "acceleration = [inf, inf]\ntorque = [5, 5]\n"
+    )
+    machine = load_machine(str(file))
+    reference = make_reference("point_to_point", machine, goal=[0.5, 0.5], duration=0, headroom=1)
+    assert machine.torque(reference) is None and not machine.find_violations(reference)
+    peaks = np.abs(reference.qd).max(), np.abs(reference.qdd).max()
+    assert 0.9 < peaks[0] <= 1.0 and peaks[1] <= 10.0, "moderate where no limit is known"
+    with pytest.raises(ReferenceError_, match="torque is not predicted"):
+        make_reference("step", machine, quantity="torque")
+    pushed = Reference(reference.q, 0.001, tau=np.full(reference.q.shape, 6.0))
+    assert [v.quantity for v in machine.find_violations(pushed)] == ["torque", "torque"]
+    assert len(plot_reference(reference, machine).axes) == 3
+    said = CliRunner().invoke(command, ["trapezoid", "--machine", str(file)])
+    assert said.exit_code == 0 and "torque is not predicted" in said.output, said.output
+
+
+def test_a_reference_of_another_machine_is_refused_or_told(tmp_path: Path) -> None:
+    slide = tmp_path / "slide.toml"
+    slide.write_text(
+        'name = "slide"\nkind = "limits"\nunit = "m"\njoints = 1\nsample_time = 0.001\n'
+        "home = [0.0]\n[limits]\nposition_min = [-1]\nposition_max = [1]\nspeed = [1.0]\n"
+        "acceleration = [9.0]\ntorque = [20.0]\n"
+    )
+    moved = make_reference("point_to_point", load_machine(str(slide)), goal="0.2")
+    assert moved.unit == "m"
+    with pytest.raises(ReferenceError_, match=r"planned for slide and is in m, pendulum is in rad"):
+        load_machine("pendulum").check(moved)
+    with pytest.raises(ReferenceError_, match=r"imi_planar and has 2 joints, wam7 has 7: choose"):
+        load_machine("wam7").check(make_reference("circle", "imi_planar"))
+    told = check_fits(replace(moved, machine="other"), "slide", ["m"])
+    assert told.startswith("the reference was planned for other, not for slide: its limits")
+    assert "says rad, slide is in m" in check_fits(Reference(moved.q, 0.001), "slide", ["m"])
+    assert not check_fits(moved, "slide", ["m"])
+
+    file = str(save_reference(moved, tmp_path / "moved.mat"))
+    shown = CliRunner().invoke(command, ["show", file, "--machine", str(slide)])
+    assert "q max m" in shown.output and "rad" not in shown.output, shown.output
+    with pytest.raises(ReferenceError_, match="is in m, pendulum is in rad"):
+        make_from_file(load_machine("pendulum"), path=file)
+    assert make_from_file(replace(load_machine(str(slide)), name="b"), path=file).machine == "b"
