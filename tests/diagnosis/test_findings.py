@@ -165,6 +165,30 @@ def test_where_recordings_move_one_joint_each_every_joint_is_chosen_by_and_teste
         assert rows == ([4000] if alike else pytest.approx([2000, 2000], abs=50))
 
 
+@pytest.mark.parametrize(("slots", "pieces"), [(3, 4), (1, 2)])
+def test_a_recording_of_one_joint_after_the_other_is_dealt_out_so_that_each_is_tested(
+    slots: int, pieces: int
+) -> None:
+    """Joints that moved in one half only lacked "120 % of the torque" in the other."""
+    t = np.arange(6000) * 2e-3
+    slot = np.floor(t / 12.0 * slots)
+    q = np.stack([np.where(slot == k % slots, np.sin(3 * t), 0.0) for k in range(3)], axis=1)
+    one = Signals("run", t, 2e-3, q, np.zeros((len(t), 3)), None, np.full(3, 1e-4))
+    choose, test, notes = halves([one])
+    assert not notes and len(choose) + len(test) == pieces
+    assert sum(len(s.time) for s in (*choose, *test)) == len(t)
+    for part in (choose, test):
+        assert np.max([np.ptp(s.position, axis=0) for s in part], axis=0).min() > 0.5
+
+
+def test_joints_that_cannot_be_tested_in_both_halves_are_named() -> None:
+    t = np.arange(1400) * 2e-3
+    q = np.stack([np.sin(3 * t), np.where(t < 0.6, np.sin(9 * t), 0.0)], axis=1)
+    one = Signals("run", t, 2e-3, q, np.zeros((len(t), 2)), None, np.full(2, 1e-4))
+    _, _, (note,) = halves([one])
+    assert note.startswith("joint 2: in one half of what is held out there is no motion")
+
+
 def test_a_recording_too_short_to_be_divided_counts_once(tmp_path: Path) -> None:
     """Used as two parts the same rows would predict each other and count twice."""
     rate = 200.0

@@ -265,6 +265,26 @@ def test_a_push_that_stands_far_out_may_hold_less_of_what_lacks(
     assert measure_bursts._scattered(share, part) is scattered
 
 
+@pytest.mark.parametrize(("within", "pushed"), [(0.9, False), (0.1, True)])
+def test_a_torque_that_acts_while_the_joint_covers_most_of_its_way_is_no_push(
+    within: float, pushed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of recordings of one joint after the other the time of each joint was "a push"."""
+    push = reality.Machine(push=(0.1, 2.0, 3.0))
+    columns = reality.simulate(push, reality.multisine(9.0, RATE, 3), RATE)
+    model = model_of(VISCOUS, COULOMB)
+    data = data_of(columns, model)
+    assert 0.05 < measure_bursts._of_the_way(acting_of(data, model), 1) < 0.3
+    monkeypatch.setattr(measure_bursts, "_of_the_way", lambda *_: within)
+    assert (bursts(data, model, 1, data) is not None) is pushed
+
+
+def acting_of(data: Data, model: Model) -> list[Any]:
+    """Where the missing torque of joint 1 is large."""
+    lacks = measure_bursts._lacking(data, model, 1)
+    return [measure_bursts._acting(lacks, 1, measure_bursts._quiet([lacks]))]
+
+
 def test_spikes_once_a_count_of_a_slow_joint_are_no_ringing() -> None:
     def by_count(samples_a_count: int, torque: np.ndarray) -> float:
         columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)

@@ -209,7 +209,8 @@ def _no_worse(
                 # where the model has nothing of what was found, calibration alone made it worse:
                 # below the limit of the note ``bent`` the missing torque may be the reason
                 most = 1.0 if named or d.refinements else MADE_WORSE
-                worse[d.joint] = after / (most * min(errors))
+                # a joint that rests in what is tested on is predicted without an error
+                worse[d.joint] = after / max(most * min(errors), 1e-300)
         joint = max(worse, key=lambda j: worse[j], default=0)
         if not joint or worse[joint] <= 1.0:
             return decisions, whole

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,6 +24,9 @@ PUSH_MARGIN_S = 0.25
 # of its travel: a joint that moves less rests; a joint held by its loop while another moved had
 # 0.05
 RESTS = 0.1
+# into which a recording is cut, to be dealt out by turns: the fewest with which the same joints
+# move in both parts
+PIECES = (2, 4, 6, 8, 12, 16)
 LEFT = 0.5  # of the rows: least that must be left
 # of the travel: a joint this near to its end position rests; and s: a rest at the end this long is
 # left out. Chosen on one arm that crept by 0.002 of its travel in eight seconds
@@ -132,16 +136,49 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
             " so the tested figures flatter"
         )
         return (both := list(held)), both, [note]
-    cuts = [
-        int(np.clip(np.searchsorted(_way(s), 0.5), MIN_SAMPLES, len(s.time) - MIN_SAMPLES))
-        for s in long
-    ]
-    cut = list(zip(long, cuts, strict=True))
+    for pieces in PIECES:
+        choose, test = _by_turns(long, pieces, 2, ("to choose by", "to test on"))
+        if _moved(choose, held) == _moved(test, held):
+            return choose, test, []
+    choose, test = _by_turns(long, 2, 2, ("to choose by", "to test on"))
+    return choose, test, [_in_one_only(choose, test, held)]
+
+
+def _in_one_only(
+    one: Sequence[Signals], other: Sequence[Signals], every: Sequence[Signals]
+) -> str:
+    """A note on the joints that move in one part only."""
+    joints = sorted(j + 1 for j in _moved(one, every) ^ _moved(other, every))
+    which = f"joint{'s' * (len(joints) > 1)} {', '.join(map(str, joints))}"
     return (
-        [s.part(0, n, f"{s.name} (to choose by)") for s, n in cut],
-        [s.part(n, len(s.time), f"{s.name} (to test on)") for s, n in cut],
-        [],
+        f"{which}: in one half of what is held out there is no motion, and a test needs it in both:"
+        " hold out a recording in which each joint moves twice"
     )
+
+
+def _by_turns(
+    signals: Sequence[Signals], pieces: int, every: int, words: tuple[str, str]
+) -> tuple[list[Signals], list[Signals]]:
+    """Recordings cut into pieces of equal motion, and dealt out: the last of ``every`` so many to
+    the second part, the others to the first. Fewer pieces where they would be too short.
+    """
+    first: list[Signals] = []
+    second: list[Signals] = []
+    for s in signals:
+        n = len(s.time)
+        at = np.searchsorted(_way(s), np.arange(1, pieces) / pieces)
+        if pieces == every:  # never too short
+            at = np.clip(at, min(MIN_SAMPLES, n // 2), n - min(MIN_SAMPLES, n // every))
+        cuts = [0, *at.tolist(), n]
+        if min(np.diff(cuts)) < MIN_SAMPLES and pieces > every:
+            more = _by_turns([s], every, every, words)
+            first += more[0]
+            second += more[1]
+            continue
+        for k, (a, b) in enumerate(itertools.pairwise(cuts)):
+            last = k % every == every - 1
+            (second if last else first).append(s.part(a, b, f"{s.name} ({words[last]})"))
+    return first, second
 
 
 def _moved(some: Sequence[Signals], every: Sequence[Signals]) -> frozenset[int]:

@@ -43,7 +43,8 @@ REVISITED, REVISITED_S = 0.3, 0.3
 STANDS_OUT = 10.0
 CHANCE = 1e-3  # probability that the largest spectral line of noise stands out as far
 NEIGHBOUR_LINES = 20  # neighbours on either side, whose median is the noise level
-# Part of the energy at reversals, and part of the reversals: above both, it is the joint's friction
+# Part of the energy at reversals (or of the way, for a torque that acts with the motion), and part
+# of the reversals: above both, it is the joint's friction
 # at reversals. Soft friction came at 11 of 16 reversals and more, two pushes at 1 of 16 and 5 of
 # 32.
 MOSTLY, OFTEN = 0.5, 0.3
@@ -190,9 +191,11 @@ def bursts(
     as_friction = dry > 0.0 and peak < STICKS * dry
     if as_friction and (_turns(acting, joint, often) or _holds(acting, joint)):
         return None
+    others = _acting(there, joint, quiet, acting.least)
+    if _of_the_way((acting, others), joint) > MOSTLY:
+        return None  # it acts when the joint moves, as in recordings of one joint after the other
     covered = sum(int(high.sum()) for high in acting.masks)
     count = sum(len(high) for high in acting.masks)
-    others = _acting(there, joint, quiet, acting.least)
     rest = sum(len(high) for high in others.masks)
     if not covered or covered > BRIEF * (count + rest):
         return None
@@ -218,6 +221,18 @@ def _fall(model: Model, joint: int) -> float:
     """
     terms = [t for t in model.at(joint) if mechanism_of(t.effect) == DRY]
     return sum(t.value(p.name) for t in terms for p in get_effect(t.effect).parameters if p.above)
+
+
+def _of_the_way(parts: Sequence[_Acting], joint: int) -> float:
+    """The part of a joint's way that it covers while a torque acts."""
+    within = whole = 0.0
+    for acting in parts:
+        of = acting.of
+        for high, use, rec in zip(acting.masks, of.used, of.data.records, strict=True):
+            speed = np.abs(rec[joint - 1].motion.states[1][use]) * rec[joint - 1].sample_time
+            within += float(speed[high].sum())
+            whole += float(speed.sum())
+    return within / max(whole, 1e-300)
 
 
 def _scattered(share: float, part: float) -> bool:
