@@ -26,8 +26,8 @@ PROGRAM = "inverse_dynamics.c"
 
 
 def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
-    """The paper's test: a circle in 4.5 s, in four ways; and slower circles, which show the
-    smallest error.
+    """The paper's test: a circle in 4.5 s, in four ways; and slower circles, whose error does not
+    fall below a floor.
     """
     curves = needed(lab, "imi-fit", fit)
     result = Result(

@@ -134,7 +134,7 @@ class Slider(Widget, can_focus=True):
 
     @property
     def bar(self) -> int:
-        """Which columns of the line the bar takes."""
+        """The number of columns of the bar."""
         return max(self.size.width - NAME - VALUE - 2, 4)
 
     def _by_mouse(self, x: int) -> None:

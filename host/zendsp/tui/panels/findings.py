@@ -120,7 +120,7 @@ def _errors(r: Report, charts: Sequence[Chart]) -> list[Entry]:
 
 
 def _fell(fit: FitReport, found: bool) -> str:
-    """The error of the calibrated and of the improved model, and that of the sensor alone."""
+    """The error before and after what was found, and that of the sensor alone."""
     t, unit = fit["test"], fit["unit"]
     # null: a simulation that ran away
     given, calibrated, improved = (

@@ -239,7 +239,7 @@ def _or_usual(text: str) -> float | None:
 
 
 def _usual(s: Snapshot, swings: Sequence[Quantity]) -> str:
-    """The amplitude by which the first joint swings where none is typed, as text."""
+    """The amplitude that is used where none is typed, in words."""
     from zendsp.experiment.frequency import usual_amplitude
 
     if s.described is None or s.limits is None:
