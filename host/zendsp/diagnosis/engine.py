@@ -151,10 +151,8 @@ def _diagnose(
     signals, parts, notes = _ready(*sources, given, tell)
     found, stopped = _found(signals, parts, given, jobs, tell, so_far)
     found, clocks = _by_one_clock(found)
+    found, findings, refinements, rejected = _name(found, given)
     parts, decisions, whole = found.parts, found.decisions, found.whole
-    findings, refinements, rejected = _name(found, given)
-    decisions = [_unnamed(d, findings, refinements) for d in decisions]
-    found = replace(found, decisions=decisions)
     looked = _Looked(decisions)
     try:
         if not stopped:
@@ -331,8 +329,10 @@ def _ready(
 
 def _name(
     found: Found, given: Model
-) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
-    """Findings, refinements and rejected hypotheses, of joints, bodies and transmissions."""
+) -> tuple[Found, tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
+    """What was found, without claims that may be nothing; and the findings, refinements and
+    rejected hypotheses of joints, bodies and transmissions.
+    """
     findings, refinements, rejected = name_findings(
         found.parts.test, given, found.decisions, found.whole, found.claims
     )
@@ -343,7 +343,9 @@ def _name(
         findings = (found.load,)
     findings += tuple(ripple.finding for ripple in found.fine)
     findings += tuple(finding for m in found.measured for finding in m.findings)
-    return sided(findings, found.parts, found.bodies.model), refinements, rejected
+    findings = sided(findings, found.parts, found.bodies.model)
+    decisions = [_unnamed(d, findings, refinements) for d in found.decisions]
+    return replace(found, decisions=decisions), findings, refinements, rejected
 
 
 def _as_model(model: Model | str | Path | dict[str, Any]) -> Model:

@@ -70,12 +70,12 @@ def law_of(
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
     weights = _weights(scores)
     after = discrepancy(parts.choose, final.model, joint).value
-    # any law may be wrong by as much, so a law of another mechanism may be the true one
-    wrong = max(after, LAW_ERROR * first.size)
     same, lost = [], []
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
-        least = after if mechanism_of(rival.effect) == piece.mechanism else wrong
+        # any law may be wrong by as much, so a law of another mechanism may be the true one
+        own = mechanism_of(rival.effect) == piece.mechanism
+        least = after if own else max(after, LAW_ERROR * first.size)
         near = (
             behind < INSEPARABLE * first.evidence.gain
             and difference(parts.choose, rival.scored.model, final.model, joint) < least
@@ -91,16 +91,7 @@ def law_of(
             )
             lost.append(Rejected(rival.effect, joint, why, -0.5 * behind))
     same += _sums(term, final.model)
-    laws: dict[str, float] = {}
-    for name, weight in zip([term.effect, *[r.effect for r in rivals]], weights, strict=True):
-        if mechanism_of(name) == piece.mechanism:
-            laws[name] = laws.get(name, 0.0) + float(weight)
-    total = sum(laws.values())
-    laws = (
-        {n: w / total for n, w in laws.items() if w / total > STATED_LAW}
-        if total > 0
-        else {term.effect: 1.0}
-    )
+    laws = _shared([term.effect, *[r.effect for r in rivals]], weights, piece.mechanism)
     gone = replaced(given, final.model, term)
     return Claim(
         term.effect,
@@ -115,6 +106,20 @@ def law_of(
         tuple(lost[:6]),
         instead=instead,
     )
+
+
+def _shared(names: Sequence[str], weights: Array, mechanism: str) -> dict[str, float]:
+    """The probabilities of the laws of a mechanism among all; the first law alone where none has
+    any.
+    """
+    laws: dict[str, float] = {}
+    for name, weight in zip(names, weights, strict=True):
+        if mechanism_of(name) == mechanism:
+            laws[name] = laws.get(name, 0.0) + float(weight)
+    total = sum(laws.values())
+    if total <= 0:
+        return {names[0]: 1.0}
+    return {n: w / total for n, w in laws.items() if w / total > STATED_LAW}
 
 
 def _beside_a_number(given: Model, final: Scored, first: Piece, rival: Rival) -> bool:

@@ -40,7 +40,7 @@ BURST, OF_PEAK = 10.0, 0.05  # times the median energy, and of the largest: a bu
 REVISITED, REVISITED_S = 0.3, 0.3
 # RMS torque within that time against that outside: if it stands out as much, it may hold less of
 # the energy. Pushes of 5 % of the torque beside a coarse encoder had 12
-STANDS_OUT = 10.0
+STANDS_FAR = 10.0
 CHANCE = 1e-3  # probability that the largest spectral line of noise stands out as far
 NEIGHBOUR_LINES = 20  # neighbours on either side, whose median is the noise level
 # Part of the energy at reversals (or of the way, for a torque that acts with the motion), and part
@@ -241,7 +241,7 @@ def _scattered(share: float, part: float) -> bool:
     z = -normal.inv_cdf(0.5 * part)
     # of a random torque's energy, in its largest values over that part of the time
     by_chance = 2.0 * (z * normal.pdf(z) + normal.cdf(-z))
-    if share * (1.0 - part) > STANDS_OUT**2 * (1.0 - share) * part:
+    if share * (1.0 - part) > STANDS_FAR**2 * (1.0 - share) * part:
         return False
     return 1.0 - share > BURST_SHARE * (1.0 - by_chance)
 
