@@ -190,20 +190,18 @@ def test_joints_with_different_delays_keep_their_own_laws() -> None:
     assert across.same_timing(SimpleNamespace(), late, 1) == late  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("name", "numbers", "asked"),
-    [("gravity", {"torque": 0.1, "angle": 0.0}, True), ("inertia", {"amount": 0.1}, True),
-     ("torque_offset", {"level": 0.1}, True), ("quadratic_drag", {"coefficient": 0.1}, False)],
-)  # fmt: skip
-def test_a_body_is_looked_for_beside_missing_joint_friction(
-    name: str, numbers: dict[str, float], asked: bool
-) -> None:
-    """0.12 kg too much at a link of a Unitree Z1 had been called gravity at one joint, beside
-    friction 20 times as large.
+def test_a_body_is_looked_for_beside_missing_joint_friction() -> None:
+    """A forearm 10 % heavier was a torque gain of two joints, beside friction that falls with the
+    speed at five.
     """
-    decisions = [lacking(1, "coulomb", level=1.0), lacking(2, name, **numbers)]
-    beside = [t.effect for t in across.friction_beside_weight(decisions)]
-    assert ("coulomb" in beside) is asked
+    nameless = lacking(3, "stribeck", level=1.0)
+    bare = replace(nameless.claims[0], effect="unknown", term=Term("unknown", 3, {}))
+    decisions = [
+        lacking(1, "coulomb", level=1.0),
+        lacking(2, "torque_gain", ratio=0.03),
+        replace(nameless, claims=(bare,)),
+    ]
+    assert [(t.effect, t.joint) for t in across.friction_beside(decisions)] == [("coulomb", 1)]
 
 
 def test_delays_are_not_compared_across_joints_beside_a_mechanism_without_a_law() -> None:

@@ -14,7 +14,7 @@ from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import cut_out
 from zendsp.diagnosis.decide.across import (
     across_joints,
-    friction_beside_weight,
+    friction_beside,
     overshadowed,
     timing,
 )
@@ -184,8 +184,8 @@ def _settled_once(
 ) -> Found:
     """The findings, with bodies that they hide or that replace them, all estimated together."""
     bodies = found.bodies
-    # a delay or much friction hides a body
-    beside = timing(found.decisions) or friction_beside_weight(found.decisions)
+    # a delay or friction hides a body
+    beside = timing(found.decisions) or friction_beside(found.decisions)
     if beside and not found.claims:
         bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, BESIDE, beside)
         if bodies.found:

@@ -284,13 +284,11 @@ def timing(decisions: Sequence[Decision]) -> tuple[Term, ...]:
     return tuple(terms.get(d.joint, replace(like, joint=d.joint)) for d in decisions)
 
 
-def friction_beside_weight(decisions: Sequence[Decision]) -> tuple[Term, ...]:
-    """The missing friction of the joints, where one claims what a body could explain: a torque over
-    position, an inertia, a constant. Beside unknown friction such a body was too small to be found.
+def friction_beside(decisions: Sequence[Decision]) -> tuple[Term, ...]:
+    """The missing friction that the joints claim. Beside unknown friction a body is too small to be
+    found.
     """
-    claims = [c for d in decisions for c in d.claims if c.effect != "unknown"]
-    if not any(c.mechanism in (PLACE, "inertia") or c.is_constant for c in claims):
-        return ()
+    claims = (c for d in decisions for c in d.claims if c.effect != "unknown")
     return tuple(c.term for c in claims if c.mechanism in FRICTION)
 
 
