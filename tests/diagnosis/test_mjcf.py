@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +191,8 @@ def test_a_slide_joint_is_in_newton_and_metres(diagnosed) -> None:  # type: igno
     assert d.report()["fit_other_unit"][0]["unit"] == "m"
     for told in (summary(d), html._fit_table(d)):
         assert "[rad]" in told and "[m]" in told and "joints 1, 2" in told and "joint 3" in told
+    many = replace(d, others=(replace(sliding, joints=(3, 4, 5, 6)),))
+    assert re.search(r"untouched recordings, joints 3, 4, 5, 6 +\d", summary(many)), summary(many)
 
 
 def test_the_set_value_of_a_servo_is_not_taken_for_a_torque(diagnosed) -> None:  # type: ignore[no-untyped-def]

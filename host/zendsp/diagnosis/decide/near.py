@@ -47,11 +47,11 @@ def doubt(sure: float, likely: bool) -> str:
     Examples
     --------
     >>> doubt(0.33, False), doubt(0.9, True)
-    ('of such findings 33 in 100 are right', 'another law of its kind predicts as well')
+    ('such a law is right in 33 of 100 cases', 'another law of its kind predicts as well')
     """
     if likely:
         return "another law of its kind predicts as well"
-    return f"of such findings {100 * sure:.0f} in 100 are right"
+    return f"such a law is right in {100 * sure:.0f} of 100 cases"
 
 
 def with_reasons(

@@ -30,13 +30,14 @@ def summary(d: Diagnosis) -> str:
         lines.append("")
     for e in d.errors:
         head = f"RMS position error over 0.25 s [{e.unit}]"
-        lines.append(f"{head:<37}given    calibrated improved noise floor")
+        wide = max(37, len(f"  recordings of the fit{e.of}") + 2)
+        lines.append(f"{head:<{wide}}given    calibrated improved noise floor")
         for name, table in (
             (f"  recordings of the fit{e.of}", e.estimation),
             (f"  untouched recordings{e.of}", e.test),
         ):
             lines.append(
-                f"{name:<37}{table.given:<9.3g}{table.calibrated:<11.3g}{table.improved:<9.3g}"
+                f"{name:<{wide}}{table.given:<9.3g}{table.calibrated:<11.3g}{table.improved:<9.3g}"
                 f"{e.noise_floor:.3g}"
             )
     for r in d.regions[:2]:
