@@ -34,7 +34,8 @@ def seconds() -> tuple[float, float]:
 def test_a_torque_only_in_the_recordings_to_choose_by_leaves_the_verdict_open(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(decide, "pushed", lambda *_: None)  # nothing of it comes again
+    for name in ("pushed", "felt"):  # nothing of it comes again
+        monkeypatch.setattr(decide, name, lambda *_: None)
     pushed = reality.Machine(push=(0.3, 2.0, 3.0))
     assert decided(reality.Machine(), pushed).verdict == "unexplained"
 
@@ -116,13 +117,24 @@ def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:
     assert rms.value <= peak.value and 0.0 < rms.std < 0.02
 
 
-def test_a_push_too_small_for_a_finding_is_noted_with_its_times(decided: Decided) -> None:
+def test_a_push_where_another_load_explains_as_much_is_noted_with_its_times(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decide, "by_own_numbers", lambda *_: ("run1.csv",))
     d = decided(reality.Machine(push=(0.007, 2.0, 4.0)), reality.Machine(push=(0.007, 6.5, 8.5)))
     assert not d.findings
     (told,) = (note for note in d.notes if "no state explains" in note)
     assert told.startswith("joint 1: a torque of up to 0.00") and told.endswith("touched?")
     spans = [[float(a), float(b)] for a, b in re.findall(r"([\d.]+)–([\d.]+) s", told)]
     assert np.array(spans) == pytest.approx(np.array([[2.0, 4.0], [6.5, 8.5]]), abs=0.3)
+
+
+def test_a_small_push_is_a_finding_where_the_model_is_not_complete_without_it(
+    decided: Decided
+) -> None:
+    """A push of 5 % of the torque for 2 s was "unexplained" beside a note that told its time."""
+    d = decided(reality.Machine(push=(0.007, 2.0, 4.0)), reality.Machine(push=(0.007, 6.5, 8.5)))
+    assert [f.effect for f in d.findings] == ["disturbance"]
 
 
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])

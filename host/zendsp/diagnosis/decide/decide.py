@@ -107,7 +107,12 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     out = replace(out, bursts=pushed_beside(out, models, parts, turning))
     small = out.kind == Verdict.UNEXPLAINED and beyond(out.before.value, out.known.all) < LAWFUL
     if small and out.bursts is None:
-        return replace(out, beside=felt(out, parts, turning))
+        push = felt(out, parts, turning)
+        # something surely lacks, and no state explains it
+        own = push is None or by_own_numbers(out, parts, jobs, push.recordings)
+        if not own and not out.doubted:
+            return replace(out, kind=Verdict.DISTURBANCE, bursts=push)
+        return replace(out, beside=push)
     return out
 
 
