@@ -94,7 +94,7 @@ def machine_source(machine: str) -> Path:
         names = ", ".join(machine_names())
         raise CompileFailed(
             f"no machine {machine!r}: choose one of {names}, or give the path of a .c file or of a"
-            " MuJoCo model (.xml)"
+            " MuJoCo model (.xml, .urdf)"
         )
     return path
 

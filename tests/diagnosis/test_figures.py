@@ -143,6 +143,13 @@ def test_shaded_spans_are_told_in_the_legend() -> None:
     assert [text.get_text() for text in legend.get_texts()] == [SPANS]
 
 
+def test_every_time_that_the_page_tells_is_shaded(coarse: Diagnosis) -> None:
+    told = tuple((float(k), k + 0.5) for k in range(1, 6))
+    shown = charts(replace(coarse, times=told, times_of=("run1.csv",) * 5))
+    (chart,) = (c for c in shown if c.name == "torque_joint1")
+    assert chart.panels[0].spans == told
+
+
 def test_a_coarse_encoder_does_not_inflate_the_missing_torque(coarse: Diagnosis) -> None:
     """Three times the torque had been reported: squares of corrections after a plateau of the
     count. Of 0.03 N m a reversal hides a part.

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from zendsp.diagnosis import Diagnosis
-from zendsp.diagnosis.decide import decide
+from zendsp.diagnosis.decide import decide, findings
 from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted, dark, nearest
 from zendsp.diagnosis.decide.headline import percent, verdict_sentence
 from zendsp.diagnosis.decide.result import Detectable, Estimate, number
@@ -87,6 +87,13 @@ def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> Non
         "Cannot tell: the recordings of the fit are by far likelier with backlash at joint 1, and"
         " the untouched ones do not show it. Hold out motion as fast as theirs."
     )
+
+
+@pytest.mark.parametrize(("share", "text"), [(0.9949, "99"), (0.995, "100"), (0.9999, "100")])
+def test_nearly_all_of_a_torque_is_100_per_cent_and_not_a_power_of_ten(
+    share: float, text: str
+) -> None:
+    assert findings.percent(share) == text
 
 
 def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> None:

@@ -259,6 +259,7 @@ def test_refusals_list_what_is_available(user: Installed) -> None:
     # a busy computer says first that it is starting
     said = script.stderr.partition("the target did not start: zendsp target: ")[2]
     assert "no machine 'imi_planer'" in said, script.stderr
+    assert ".c file" in said and "(.xml, .urdf)" in said, said
     for command in ("info", "stop"):
         said = user.run(command, "-t", "nobody")
         assert "ZENDSP_CONNECT=" in said.stderr and "--connect" not in said.stderr, said

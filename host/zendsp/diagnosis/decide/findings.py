@@ -109,8 +109,14 @@ def _with_level(
 
 
 def percent(share: float) -> str:
-    """A share in per cent with two digits, and all digits before the point."""
-    return f"{100 * share:.2g}" if abs(share) < 1 else f"{100 * share:.0f}"
+    """A share in per cent with two digits, and all digits before the point.
+
+    Examples
+    --------
+    >>> percent(0.0351), percent(0.994), percent(0.997), percent(1.25)
+    ('3.5', '99', '100', '125')
+    """
+    return f"{100 * share:.2g}" if abs(share) < 0.995 else f"{100 * share:.0f}"
 
 
 def sentence(term: Term, values: dict[str, Estimate]) -> str:

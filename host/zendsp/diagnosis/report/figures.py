@@ -140,7 +140,7 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
                 torque_label(units_at(d, joint)["torque"]),
                 tuple(series),
                 f"Joint {joint}: torque that the {two.lacking} lacks along the {_shown_on(d)}",
-                spans=d.times[:4] if len(times) == 1 else (),  # of one recording's clock
+                spans=d.times if len(times) == 1 else (),  # of one recording's clock
                 clock=len(times) == 1,
             ),
         ),
