@@ -16,6 +16,7 @@ from zendsp.diagnosis.decide import laws, nameless, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, needed
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Estimate
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search.hypothesis import Rival
@@ -224,3 +225,12 @@ def test_a_likelier_law_that_untouched_recordings_do_not_show_takes_no_place(
     parts: Any = SimpleNamespace(each=[], test=None)
     found = decision._decided(parts, model(), searches[0], 1, lambda _: None)
     assert [c.effect for c in found.claims] == ["hysteresis" if stands else "coulomb"]
+
+
+@pytest.mark.parametrize(("left", "words"), [(0.3, "30 % stays"), (18126.0, "more than all of it")])
+def test_no_rejected_law_leaves_millions_of_per_cent(left: float, words: str) -> None:
+    evidence = Evidence(100.0, 9.0, np.zeros(1))
+    piece = Piece("dry_friction", (Term("coulomb", 1, {}),), None, 0.33, evidence, 9.0)  # type: ignore[arg-type]
+    before, beside = (Size(x, 0.9 * x, 1.1 * x) for x in (0.31, left))
+    lost = decision._lost("coulomb", 1, 100.0, [piece], before, beside)
+    assert words in lost.why and "33 % of the torque" in lost.why

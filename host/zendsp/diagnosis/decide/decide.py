@@ -393,11 +393,13 @@ def _lost(
             least = f"findings have {percent(finest(effect))} % at least"
             why = f"too small to be told: {size}, and {least}"
         elif beside.value**2 > (1.0 - PREDICTED) * before.value**2:
-            left = f"{percent(beside.value)} % stays unexplained beside it"
+            # above 1 the model does not follow the recording at all
+            part = f"{percent(beside.value)} %" if beside.value < 1.0 else "more than all of it"
+            left = f"{part} stays unexplained beside it"
             why = f"not what is missing: {size}, and {left}"
         else:
             reason = Reason.NEAR
-            left = f"up to {percent(beside.high)} % may stay unexplained beside it"
+            left = f"up to {percent(min(1.0, beside.high))} % may stay unexplained beside it"
             because = f"; {seen.why}" if seen.why else ""
             why = f"{NOT_SURELY}: {size}, and {left}{because}"
     elif gain < WAIT:
