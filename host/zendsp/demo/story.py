@@ -29,6 +29,7 @@ from zendsp.demo.narrator import Narrator
 from zendsp.demo.runs import Machine, prepare_machine
 from zendsp.demo.stage import Stage
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.errors import Refused
 from zendsp.link import Target
 from zendsp.link.concealed import Truth
@@ -95,7 +96,7 @@ class Told:
         or where the finding is such a number.
         """
         moved = [refit for refit in refits(self.diagnosis) if refit.moved]
-        if self.diagnosis.verdict != "complete":
+        if self.diagnosis.verdict != Verdict.COMPLETE:
             found = {(f.effect, f.joint) for f in self.diagnosis.findings}
             moved = [refit for refit in moved if (refit.effect, refit.joint) in found]
         return tuple(sorted(moved, key=lambda refit: refit.change, reverse=True))
