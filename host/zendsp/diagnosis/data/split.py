@@ -24,8 +24,8 @@ PUSH_MARGIN_S = 0.25
 # of its travel: a joint that moves less rests; a joint held by its loop while another moved had
 # 0.05
 RESTS = 0.1
-# into which a recording is cut, to be dealt out by turns: the fewest with which the same joints
-# move in both parts
+# into which a held-out recording is cut, to be dealt out by turns: the fewest with which the same
+# joints move in both parts
 PIECES = (2, 4, 6, 8, 12, 16)
 LEFT = 0.5  # of the rows: least that must be left
 # of the travel: a joint this near to its end position rests; and s: a rest at the end this long is
@@ -137,10 +137,10 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
         )
         return (both := list(held)), both, [note]
     for pieces in PIECES:
-        choose, test = _by_turns(long, pieces, 2, ("to choose by", "to test on"))
+        choose, test = _by_turns(long, pieces)
         if _moved(choose, held) == _moved(test, held):
             return choose, test, []
-    choose, test = _by_turns(long, 2, 2, ("to choose by", "to test on"))
+    choose, test = _by_turns(long, PIECES[0])
     return choose, test, [_in_one_only(choose, test, held)]
 
 
@@ -157,28 +157,22 @@ def _in_one_only(
 
 
 def _by_turns(
-    signals: Sequence[Signals], pieces: int, every: int, words: tuple[str, str]
+    signals: Sequence[Signals], pieces: int
 ) -> tuple[list[Signals], list[Signals]]:
-    """Recordings cut into pieces of equal motion, and dealt out: the last of ``every`` so many to
-    the second part, the others to the first. Fewer pieces where they would be too short.
+    """Recordings cut into pieces of equal motion, which are dealt out by turns to choose by and to
+    test on. A recording whose pieces would be too short is halved.
     """
-    first: list[Signals] = []
-    second: list[Signals] = []
+    parts: tuple[list[Signals], list[Signals]] = [], []
     for s in signals:
-        n = len(s.time)
-        at = np.searchsorted(_way(s), np.arange(1, pieces) / pieces)
-        if pieces == every:  # never too short
-            at = np.clip(at, min(MIN_SAMPLES, n // 2), n - min(MIN_SAMPLES, n // every))
-        cuts = [0, *at.tolist(), n]
-        if min(np.diff(cuts)) < MIN_SAMPLES and pieces > every:
-            more = _by_turns([s], every, every, words)
-            first += more[0]
-            second += more[1]
-            continue
+        way, n = _way(s), len(s.time)
+        cuts = [0, *np.searchsorted(way, np.arange(1, pieces) / pieces).tolist(), n]
+        if min(np.diff(cuts)) < MIN_SAMPLES:
+            half = np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES)
+            cuts = [0, int(half), n]
         for k, (a, b) in enumerate(itertools.pairwise(cuts)):
-            last = k % every == every - 1
-            (second if last else first).append(s.part(a, b, f"{s.name} ({words[last]})"))
-    return first, second
+            words = ("to choose by", "to test on")[k % 2]
+            parts[k % 2].append(s.part(a, b, f"{s.name} ({words})"))
+    return parts
 
 
 def _moved(some: Sequence[Signals], every: Sequence[Signals]) -> frozenset[int]:

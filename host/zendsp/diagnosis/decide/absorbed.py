@@ -42,8 +42,8 @@ PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviatio
 BOTH = ("inertia", "gravity")
 # the number of each of two effects that are the same to first order
 TIMES = {"lag": "time_constant", "delay": "time"}
-# of a given time: it is hardly better known. Of complete models of other makers, 20 % wrong at most
-# as given, none moves as far; a delay beside a lag moved it by 140 to 310 %
+# of a given time: it is hardly better known. A delay beside a lag moved it by 140 to 2040 %; none
+# of 50 complete machines (seed 401) has such a finding
 LATER = 0.5
 G = 9.81  # m/s²
 

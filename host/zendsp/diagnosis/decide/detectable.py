@@ -137,7 +137,8 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
             continue
         if effect.least is not None:  # the search takes no smaller one
             least = effect.least(facts(screen.records[0])).get(_key(effect), 0.0)
-            size = max(size, (least, size[1] * least / size[0]))
+            if size[0] < least:
+                size = least, size[1] * least / size[0]
         parameter = effect.parameter(_key(effect))
         most = max(r.scale.of(parameter.size) for r in screen.records)
         if size[0] > (FIRST_ORDER if parameter.size == "time" else most):
