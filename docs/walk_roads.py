@@ -19,6 +19,8 @@ from pathlib import Path
 from types import FrameType
 
 ROOT = Path(__file__).parents[1]
+# the code of this tree, whatever is installed
+sys.path[:0] = [str(ROOT / room) for room in ("host", "target", "protocol", "c_isr")]
 sys.path.append(str(ROOT / "tests/diagnosis"))
 RATE = 500.0  # samples a second of the recordings
 ASIDE = ("live", "pulse")  # threads of a target that no request goes through

@@ -64,7 +64,7 @@ class Outnumbered(Exception):
     """The joints claim as many laws as the explanation to which they are compared."""
 
 
-# standard deviations on the recordings to choose by, from which a step is taken; and a friction that
+# standard deviations on the recordings to choose by from which a step is taken; and a friction that
 # every machine has (of a real axis with both, and neither in its model, each had -0.6 in 5 s)
 GOES_ON, CONTRADICTED = 1.0, -1.0
 
