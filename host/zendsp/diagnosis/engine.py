@@ -341,7 +341,7 @@ def _name(
     refinements = (*refinements, *guessed)
     if found.load is not None:  # which holds all that differs there from the given numbers
         findings = (found.load,)
-    findings += tuple(ripple.finding for ripple in found.fine)
+    findings += found.fine
     findings += tuple(finding for m in found.measured for finding in m.findings)
     findings = sided(findings, found.parts, found.bodies.model)
     decisions = [_unnamed(d, findings, refinements) for d in found.decisions]

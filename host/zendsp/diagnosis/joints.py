@@ -11,7 +11,7 @@ import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import replace
 from types import MappingProxyType
@@ -25,6 +25,7 @@ from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict
 from zendsp.diagnosis.decide.decide import decide
+from zendsp.diagnosis.decide.fast_ripple import fine_ripples
 from zendsp.diagnosis.decide.notes import MADE_WORSE
 from zendsp.diagnosis.decide.pieces import has, rms_torque
 from zendsp.diagnosis.decide.pushes import unpushed
@@ -185,6 +186,7 @@ def explain(
         The joints claim ``most`` laws or more; the rest of them are not searched.
     """
     searches, decisions = _search(parts, given, beneath, jobs, tell, done, most)
+    beneath = upon_ripples(beneath, searches)
     decisions = all_late(parts, beneath, searches, decisions, jobs)
     decisions = pushed_alone(same_timing(parts, decisions, jobs))
     tell(Step.ASSEMBLING.says("fitting the improved model"))
@@ -324,6 +326,12 @@ def _search_joint(
                 search = replace(warm, base=base)  # the creep is no longer needed
             else:
                 search, beneath = other, creeping
+    if beneath.joints == 1:  # of several, bodies and links come before what passes fast
+        rippled = with_fine_ripples(parts, search, jobs)
+        if rippled.fine:
+            done = decided_again(parts, upon_ripples(beneath, [rippled]), rippled, jobs, tell)
+            if done[1].kind in (Verdict.COMPLETE, Verdict.MISSING):
+                return done
     decision = decide(parts, beneath, search, jobs, tell)
     if beneath.joints > 1:
         tell(Step.SEARCHING.says(f"joint {joint} is done, by itself: {_seems(decision)}"))
@@ -353,6 +361,21 @@ def _upon_creep(
     both = again.creeping(first.final, soft.model.terms[-1].value("speed"))
     other = upon(first, soft, jobs, both)
     return None if again.goes_on(other.final) else other
+
+
+def with_fine_ripples(parts: Parts, search: JointSearch, jobs: int) -> JointSearch:
+    """The search with the ripples that only a fast observer sees, where it has none yet."""
+    if search.fine:
+        return search
+    return replace(search, fine=tuple(fine_ripples(parts.fit, parts.choose, search, jobs)))
+
+
+def upon_ripples(beneath: Model, searches: Iterable[JointSearch]) -> Model:
+    """The model with the fast ripples of some searches that it does not have. They are held: slower
+    observers know less of them than the fast one that found them.
+    """
+    terms = [ripple.term.held() for s in searches for ripple in s.fine]
+    return beneath.with_terms((*beneath.terms, *(t for t in terms if t not in beneath.terms)))
 
 
 def decided_again(

@@ -30,7 +30,7 @@ from zendsp.diagnosis.decide.decide_bodies import (
     plainest,
     settled,
 )
-from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples
+from zendsp.diagnosis.decide.fast_ripple import finding_of
 from zendsp.diagnosis.decide.other_load import other_load
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.result import Finding
@@ -45,7 +45,9 @@ from zendsp.diagnosis.joints import (
     findings_at,
     not_searched,
     plainer,
+    upon_ripples,
     with_bodies,
+    with_fine_ripples,
     with_their_links,
 )
 from zendsp.diagnosis.measure.bursts import everywhere
@@ -85,7 +87,7 @@ class Found:
     decisions: list[Decision]
     whole: Assembled
     claims: tuple[BodyClaim, ...]
-    fine: tuple[FineRipple, ...] = ()
+    fine: tuple[Finding, ...] = ()  # fast ripples
     load: Finding | None = None  # of the held-out recordings only
 
     @property
@@ -329,20 +331,18 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     parts, bare, beneath, claims = found.parts, found.bare, found.beneath, found.claims
     searches, decisions, whole = found.searches, found.decisions, found.whole
     tell(Step.ASSEMBLING.says("looking for what passes fast"))
-    fine = [
-        ripple
-        for search, decision in zip(searches, decisions, strict=True)
-        if decision.kind in (Verdict.COMPLETE, Verdict.MISSING)
-        for ripple in fine_ripples(
-            parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
-        )
-    ]
+    rippled = {
+        s.joint: with_fine_ripples(parts, s, jobs)
+        for s, d in zip(searches, decisions, strict=True)
+        if d.kind in (Verdict.COMPLETE, Verdict.MISSING)
+    }
     # a missing ripple may be mistaken for other effects: decide again beside it
-    if fine:  # slower observers know less of it than the fast one that found it
-        beneath = beneath.with_terms((*beneath.terms, *(ripple.term.held() for ripple in fine)))
-        rippled = {ripple.term.joint for ripple in fine}
+    if any(s.fine for s in rippled.values()):
+        beneath = upon_ripples(beneath, rippled.values())
         done = {
-            s.joint: decided_again(parts, beneath, s, jobs, tell) if s.joint in rippled else (s, d)
+            s.joint: decided_again(parts, beneath, rippled[s.joint], jobs, tell)
+            if s.joint in rippled and rippled[s.joint].fine and not s.fine
+            else (s, d)
             for s, d in zip(searches, decisions, strict=True)
         }
         searches, decisions, whole = explain(parts, given, beneath, jobs, tell, done)
@@ -366,7 +366,9 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
         decisions=shown(parts, found.bodies.model, across_joints(decisions)),
         whole=whole,
         claims=claims,
-        fine=tuple(fine),
+        fine=tuple(
+            finding_of(r, given.joint_kind(s.joint)) for s in searches for r in s.fine
+        ),
     )
 
 

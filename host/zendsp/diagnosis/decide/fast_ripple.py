@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.measure.discrepancy import difference, kept, lacking
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
-from zendsp.diagnosis.search.hypothesis import JointSearch, price
+from zendsp.diagnosis.search.hypothesis import FineRipple, JointSearch, price
 from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
 from zendsp.physics.calibration.handles import Handle
@@ -40,25 +40,13 @@ MOST_ORDERS = 4000  # so many orders are looked at, and the PEAKS highest of the
 PEAKS = 8
 
 
-@dataclass(frozen=True)
-class FineRipple:
-    """A ripple above the band of the search: its term and its report."""
-
-    term: Term
-    finding: Finding
-
-
-def fine_ripples(
-    train: Data, test: Data, search: JointSearch, kind: str, jobs: int
-) -> list[FineRipple]:
+def fine_ripples(train: Data, test: Data, search: JointSearch, jobs: int) -> list[FineRipple]:
     """The ripples that only a fast observer sees.
 
     Parameters
     ----------
     search : JointSearch
         The finished search of the joint.
-    kind : str
-        "rotary" or "linear", for the units.
     jobs : int
         Threads.
 
@@ -100,7 +88,7 @@ def fine_ripples(
         # a transmission error with as many periods a turn makes such a torque
         if displaced is not None and compare(displaced, turned, test, joint).gain <= 0.0:
             break
-        found.append(_reported(search, current, after, kind, _one_by_one(after, joint, jobs)))
+        found.append(_passing(search, current, after, _one_by_one(after, joint, jobs)))
         current = after
     return found
 
@@ -212,37 +200,41 @@ def _of_each(alone: Sequence[Fit], of_all: Estimate) -> tuple[Estimate, str]:
     )
 
 
-def _reported(
-    search: JointSearch, before: Scored, after: Scored, kind: str, alone: Sequence[Fit]
+def _passing(
+    search: JointSearch, before: Scored, after: Scored, alone: Sequence[Fit]
 ) -> FineRipple:
-    """The ripple with its finding; ``alone``: see ``_one_by_one``."""
-    term = after.model.terms[-1]
-    values = estimates(after.fit, term, kind, "")
+    """The ripple that ``after`` has and ``before`` has not; ``alone``: see ``_one_by_one``."""
+    term, joint = after.model.terms[-1], search.joint
+    values = estimates(after.fit, term, "rotary", "")  # standard deviations have the same numbers
     noted = {
         name: replace(q, std=values[name].std) if name in values else q
         for name, q in term.parameters.items()
     }
-    term = Term(term.effect, term.joint, noted)
-    joint = search.joint
-    own = (
-        difference(before.data, before.model, after.model, joint, before.data.bandwidth[joint - 1])
-        ** 2
-    )
+    band = before.data.bandwidth[joint - 1]
+    own = difference(before.data, before.model, after.model, joint, band) ** 2
     whole = (
         difference(before.data, search.base.model, search.final.model, joint) ** 2
         if search.steps
         else 0.0
     )
+    share = own / max(own + whole, 1e-300)
+    return FineRipple(Term(term.effect, joint, noted), after.fit, share, tuple(alone))
+
+
+def finding_of(ripple: FineRipple, kind: str) -> Finding:
+    """The finding of a fast ripple. ``kind``: "rotary" or "linear", for the units."""
+    term = ripple.term
+    values = estimates(ripple.fit, ripple.fit.model.terms[-1], kind, "")
     more = " Its phase holds for the position zero of these recordings."
-    if alone:
-        values["amplitude"], more = _of_each(alone, values["amplitude"])
+    if ripple.alone:
+        values["amplitude"], more = _of_each(ripple.alone, values["amplitude"])
     text = f"{sentence(term, values)} It passes faster than the other effects.{more}"
-    finding = Finding(
+    return Finding(
         "ripple",
-        search.joint,
+        term.joint,
         values,
         0.9,
-        own / max(own + whole, 1e-300),
+        ripple.share,
         (),
         (),
         text,
@@ -250,4 +242,3 @@ def _reported(
         "position_torque",
         {"ripple": 1.0},
     )
-    return FineRipple(term, finding)

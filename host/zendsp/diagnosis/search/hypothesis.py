@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 
@@ -42,9 +43,23 @@ class Step:
     alone: bool = True  # it passed by itself, not only together with the next step
 
 
+@dataclass(frozen=True)
+class FineRipple:
+    """A ripple above the band of the search, fitted under a fast observer.
+
+    ``share``: of all torque that was found. ``alone``: fits of its amplitude and phase to each
+    recording, where its phase differs between them.
+    """
+
+    term: Term
+    fit: Fit  # its last term is the ripple
+    share: float
+    alone: tuple[Fit, ...]
+
+
 @dataclass
 class JointSearch:
-    """The result of the search at one joint."""
+    """The result of the search at one joint. ``fine``: fast ripples that the base has already."""
 
     joint: int
     base: Scored
@@ -52,6 +67,7 @@ class JointSearch:
     best: Scored | None = None
     dropped: tuple[str, ...] = ()
     tried: list[Rival] = field(default_factory=list)
+    fine: tuple[FineRipple, ...] = ()
 
     @property
     def final(self) -> Scored:

@@ -352,6 +352,8 @@ def upon(first: JointSearch, base: Scored, jobs: int, both: Scored | None = None
     more = base.model.terms[len(first.base.model.terms) :]
     model = found.model.with_terms((*found.model.terms, *more))
     best = both or _refitted(found.data, model, joint, jobs, 4)
+    further = _refitted(best.data, best.model, joint, jobs, 1)  # from a start so far, 12 steps
+    best = further if further.deviance < best.deviance - NO_WORSE else best
     again = replace(first, base=base, best=best)
     again.best, dropped = simplify(again, informative(best.data, joint), jobs)
     return replace(again, dropped=(*first.dropped, *dropped))
