@@ -185,13 +185,16 @@ def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(
                 tmp_path / f"{name}.csv", {**run, "q": run["q"] + zero, "r": run["r"] + zero}
             )
         )
+    said: list[str] = []
     d = diagnose(
         files[0],
         reality.model_file(tmp_path / "model.toml", FAST, VISCOUS, resolution=fine),
         files[1],
         jobs=1,
+        progress=said.append,
     )
     assert {f.effect for f in d.findings} == {"coulomb", "ripple"}
+    assert sum("each mechanism" in step for step in said) == 1, "decided upon it, and not before"
     ripple = next(f for f in d.findings if f.effect == "ripple")
     assert ripple.parameters["order"].value == pytest.approx(57, abs=0.3)
     assert ripple.parameters["amplitude"].value == pytest.approx(0.003, rel=0.1)

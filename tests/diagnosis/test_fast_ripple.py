@@ -9,7 +9,7 @@ import reality
 from reality import FAST
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
-from zendsp.diagnosis.decide.fast_ripple import fine_ripples
+from zendsp.diagnosis.decide.fast_ripple import finding_of, fine_ripples
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.search.hypothesis import JointSearch
 
@@ -28,7 +28,7 @@ def test_motor_cogging_behind_a_gear_is_found_beyond_the_grid_of_the_screen(
         for seed in (5, 6)
     )
     search = JointSearch(1, calibrate_joint(fit, model, 1))
-    found = fine_ripples(fit, choose, search, "rotary", 1)
+    found = fine_ripples(fit, choose, search, 1)
     assert len(found) == (1 if amplitude else 0)
     for ripple in found:
         assert ripple.term.value("order") == pytest.approx(97.0, abs=0.3)
@@ -48,8 +48,9 @@ def test_a_ripple_of_another_phase_in_each_recording_keeps_its_amplitude() -> No
         runs.append(data_of({**run, "q": run["q"] + zero}, model, FAST))
     fit = replace(runs[0], records=(*runs[0].records, *runs[1].records))
     search = JointSearch(1, calibrate_joint(fit, model, 1))
-    (ripple,) = fine_ripples(fit, runs[2], search, "rotary", 1)
-    size = ripple.finding.parameters["amplitude"]
+    (ripple,) = fine_ripples(fit, runs[2], search, 1)
+    finding = finding_of(ripple, "rotary")
+    size = finding.parameters["amplitude"]
     assert abs(size.value - 0.02) < 2.0 * size.std < 0.004
     assert ripple.term.value("amplitude") < 0.016
-    assert "Its phase differs between the recordings" in ripple.finding.sentence
+    assert "Its phase differs between the recordings" in finding.sentence

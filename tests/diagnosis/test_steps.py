@@ -24,6 +24,7 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
 )
 from zendsp.diagnosis.search import backlash, forward
+from zendsp.diagnosis.search import simplify as simplification
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
@@ -329,3 +330,19 @@ def test_a_fixed_rotor_is_not_merged_with_the_inertia_beside_it(held: bool) -> N
     best, dropped = simplify(JointSearch(1, base), informative(data, 1), 1)
     assert dropped == (() if held else ("inertia",))
     assert any(t.effect == "inertia" for t in best.model.terms) == held
+
+
+def test_a_search_upon_more_terms_is_fitted_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve steps left a fit upon a fast ripple 266 above its minimum, and the whole decision was
+    made twice.
+    """
+    model, fits = model_of(VISCOUS), [-1000.0, -1280.0]
+
+    def scored(deviance: float) -> Any:
+        return SimpleNamespace(deviance=deviance, model=model, data=None)
+
+    monkeypatch.setattr(simplification, "_refitted", lambda *_: scored(fits.pop(0)))
+    monkeypatch.setattr(simplification, "informative", lambda *_: 100)
+    monkeypatch.setattr(simplification, "simplify", lambda search, *_: (search.best, ()))
+    again = simplification.upon(JointSearch(1, scored(0.0)), scored(-10.0), 1)
+    assert again.best is not None and again.best.deviance == -1280.0
