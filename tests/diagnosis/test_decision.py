@@ -221,13 +221,23 @@ def test_one_mechanism_is_one_finding(decided: Decided) -> None:
 
 
 @pytest.mark.usefixtures("searched_once")
-def test_twice_the_size_that_complete_states_as_detectable_is_named(decided: Decided) -> None:
+@pytest.mark.parametrize(
+    ("number", "none", "effect"),
+    [
+        ("ripple", 0.0, "ripple"),
+        ("breakaway", reality.Machine.coulomb, "stribeck"),
+        ("fade", 0.0, "gain_drift"),
+    ],
+)
+def test_twice_the_size_that_complete_states_as_detectable_is_named(
+    number: str, none: float, effect: str, decided: Decided
+) -> None:
     d = decided(reality.Machine())
     assert d.verdict == "complete"
-    ripple = next(x for x in d.detectable if x.effect == "ripple")
-    assert 0 < ripple.size < 0.01
-    again = decided(reality.Machine(ripple=2 * ripple.size))
-    assert [f.effect for f in again.findings] == ["ripple"]
+    told = next(x for x in d.detectable if x.effect == effect)
+    assert 0 < told.size < 0.1
+    again = decided(reality.Machine(**{number: none + 2 * told.size}))
+    assert [f.effect for f in again.findings] == [effect]
 
 
 @pytest.mark.usefixtures("searched_once")

@@ -26,6 +26,7 @@ EFFECT = Effect(
     essence=("ratio", "time_constant"),  # in no time it is a constant factor
     over="time",
     linear=("ratio",),
+    sized=True,
     grid={"time_constant": (0.1, 0.3, 1.0)},
     shape="time_constant",
     loosens_inertia=True,

@@ -37,6 +37,7 @@ EFFECT = Effect(
     needs=("coulomb",),
     rivals=("coulomb", "presliding"),
     hides=True,
+    sized=True,
     tries=({"exponent": 1.0},),
     compensable="p[0] * exp(-pow(fabs(qd) / p[1], p[2])) * sgn(qd)",
 )
