@@ -81,10 +81,11 @@ def against_neighbours(
     Returns
     -------
     float
-        Standard deviations over blocks of time, by the observer that sees the law best. Below 0 a
-        neighbour predicts better, by more than a law's possible error, and the unexplained torque
-        is smaller than the law. Infinite where the law is no function of the state, has no
-        neighbours different enough, or hardly acts where it counts.
+        Standard deviations over blocks of time; of all observers the second lowest, since what a
+        single one sees may be its own noise, or too few blocks. Below 0 a neighbour predicts
+        better, by more than a law's possible error, and the unexplained torque is smaller than the
+        law. Infinite where the law is no function of the state, has no neighbours different enough,
+        or hardly acts where it counts.
     """
     slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
@@ -104,7 +105,7 @@ def against_neighbours(
         if not (h.place == "term" and fitted.model.terms[h.index] is term)
     ]
     sizes = bounds_and_steps(fitted.data, fitted.model, handles)[2]
-    return max(_ahead(law, handles, sizes, band, error, turning) for band in BANDS)[1]
+    return sorted(_ahead(law, handles, sizes, band, error, turning) for band in BANDS)[1]
 
 
 def _ahead(
@@ -114,10 +115,8 @@ def _ahead(
     band: float,
     error: float,
     turning: bool,
-) -> tuple[float, float]:
-    """How well one observer sees a law, and how far the law is ahead of its neighbours, in standard
-    deviations.
-    """
+) -> float:
+    """How far a law is ahead of its neighbours for one observer, in standard deviations."""
     data, joint = law.data, law.joint
 
     def seen(torques: Sequence[Array]) -> list[Array]:
@@ -153,7 +152,7 @@ def _ahead(
             worst = min(worst, z)
     if sum(float(each.sum()) for each in left) > energy:
         worst = max(worst, 0.0)  # a neighbour may absorb some of what stays
-    return behind([made[:0] for made in own])[0], worst
+    return worst
 
 
 def _used(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
