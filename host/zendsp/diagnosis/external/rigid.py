@@ -1,0 +1,400 @@
+"""A simulator that can only be called, as the rigid body inside it.
+
+From a state of the measured motion a few rows are simulated under a constant torque; the second
+difference of the answer is the acceleration there. A push of each joint gives the mass matrix, the
+measured acceleration then the torque that the simulator needs for this motion, and a step of each
+free number the derivative of both. That is what the diagnosis knows of a URDF, so that it goes the
+same road, with the same search and the same decisions.
+
+Only a simulator that starts from row 0 and answers a torque at once has this form. Others are
+compared by their output (``blackbox``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.external.columns import Columns, Parameters
+from zendsp.diagnosis.external.simulator import Simulator
+from zendsp.errors import ModelError
+from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth
+from zendsp.physics.model import Model, Quantity, per_joint
+from zendsp.physics.robots.rigid import Basis
+
+Array = npt.NDArray[np.float64]
+
+ROWS = 2  # simulated from each state: the fewest with a second difference
+RUN = 4  # states in a row that one simulation passes, where its torque is all but constant
+POSES = 0.02  # s: over it a mass matrix changes smoothly
+MOST_POSES = 0.06  # s: between states of a slow simulator
+PATIENCE = 10.0  # s: a simulator that needs longer is asked at fewer states
+PUSH = 0.5  # of the RMS torque
+STEP = 1e-3  # of a free number
+AGREE = 0.02  # of the answer to a push: more, and twice the push does something else
+AT_ONCE = (0.75, 1.1)  # answer to a torque after LATER, over that at once
+LATER = 0.02  # s
+PROBES = 48  # states at which a simulator is asked whether it is a rigid body
+RIGID_SHARE = 0.7  # of these at which it must be
+FELT = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
+MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
+
+# torque, mass matrix and torque without acceleration in some states; the first guess of the mass
+Known = tuple[Array, Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class State:
+    """Motion of all joints, (n, joints) each."""
+
+    q: Array
+    qd: Array
+    qdd: Array
+
+    def at(self, rows: Any) -> State:
+        """The motion at some rows."""
+        return State(self.q[rows], self.qd[rows], self.qdd[rows])
+
+    def __getitem__(self, rows: Any) -> State:
+        return self.at(rows)
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+
+@dataclass
+class Called:
+    """A simulator as a rigid body, along the motions that were asked for.
+
+    Attributes
+    ----------
+    model : Model
+        Expanded (``expanded``): every number has a name.
+    torque : ndarray, shape (joints,)
+        RMS of each joint, N m or N.
+    tell : callable
+        Receives the number of states and all of them.
+    """
+
+    model: Model
+    simulator: Simulator
+    sample_time: float
+    torque: Array
+    tell: Callable[[int, int], None] = lambda _done, _all: None
+    calls: int = 0
+    known: dict[bytes, list[dict[str, Basis]]] = field(default_factory=dict)
+    owner: int = field(default_factory=os.getpid)
+    in_mass: dict[str, bool] = field(default_factory=dict)
+    seconds: float = 0.0  # a state takes, with its restart
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Another process has only the records that were made."""
+        none = {"simulator": None, "known": {}, "owner": -1, "tell": None}
+        return {**self.__dict__, **none}
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.torque)
+
+    def numbers(self, **moved: float) -> Parameters:
+        """The simulator's parameters, some of them moved."""
+        return folded({k: moved.get(k, q[0].value) for k, q in self.model.mechanism.items()})
+
+    def bases(self, motion: Sequence[Array]) -> list[dict[str, Basis]]:
+        """As ``robots.rigid.bases``: the coefficients of each free number, and of the rest.
+
+        Parameters
+        ----------
+        motion : list of ndarray, shape (3, n)
+            q, qd, qdd of each joint.
+        """
+        stacked = np.ascontiguousarray(np.stack(list(motion)))
+        key = hashlib.sha1(stacked.tobytes()).digest()
+        if key not in self.known:
+            if os.getpid() != self.owner:
+                raise ModelError(f"{self.model.name}: its simulator is not in this process")
+            state = State(*np.ascontiguousarray(stacked.transpose(1, 2, 0)))
+            self.known[key] = self._along(state)
+        return self.known[key]
+
+    def masses(self, position: Array) -> Array:
+        """Mass matrices at some positions (n, joints), in passing: (n, joints, joints)."""
+        speed = np.gradient(position, axis=0) if len(position) > 1 else np.zeros_like(position)
+        some = speed / max(self.sample_time, 1e-9) / max(1, round(POSES / self.sample_time))
+        state = State(position, some, np.zeros_like(position))
+        return self._body(state, np.zeros_like(position), self.numbers())[0]
+
+    def _along(self, motion: State) -> list[dict[str, Basis]]:
+        n, rows = len(motion), np.arange(len(motion))
+        poses = np.unique(np.r_[rows[:: self._every(n)], n - 1])
+        at, numbers = motion.at(poses), self.numbers()
+        first, rest, _ = self._body(at, np.zeros_like(at.q), numbers)
+        torque = _times(first, at.qdd) + rest
+        mass, rest, answer = self._body(at, torque, numbers, first)  # in the very states
+        good = _alike(first, mass)
+        if np.mean(good) < RIGID_SHARE:
+            good[:] = True
+        poses, at, *parts = (x[good] for x in (poses, at, torque, mass, rest, first, answer))
+        torque, mass, known = parts[0], parts[1], tuple(parts[:4])
+        slope = [self._slope(at, known, parts[4], j) for j in range(self.joints)]
+        free = [k for k, q in self.model.mechanism.items() if q[0].free and q[0].value != 0]
+        every = _between(poses, mass, rows)
+        whole = self._torque(motion, _between(poses, torque, rows), every)
+        values, changes = {k: self.model.mechanism[k][0].value for k in free}, {}
+        for k in free:
+            dm, dh = (_between(poses, x, rows) for x in self._moved(at, known, k))
+            changes[k] = dm, _times(dm, motion.qdd) + dh
+        return [
+            _basis(motion.qdd[:, j], every[:, j, j], whole[:, j], _between(poses, slope[j], rows),
+                   {k: (dm[:, j, j], dt[:, j]) for k, (dm, dt) in changes.items()}, values)
+            for j in range(self.joints)
+        ]  # fmt: skip
+
+    def _every(self, n: int) -> int:
+        """Rows between the states at which the mass matrix is asked for."""
+        period = self.sample_time
+        asked = (1 + self.joints) * (2 + len(self.model.mechanism)) + self.joints
+        needed = self.seconds * asked * n * period / POSES
+        apart = POSES * min(max(1.0, needed / PATIENCE), MOST_POSES / POSES)
+        return max(1, round(apart / period))
+
+    def _body(
+        self, at: State, torque: Array, numbers: Parameters, about: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Mass matrices (n, joints, joints), the torque without acceleration (n, joints), and the
+        acceleration by the torque (n, joints). ``about``: mass matrices as far as known, by which a
+        pushed simulator begins so that it passes the same state as one that is not.
+        """
+        gives = None if about is None else np.linalg.pinv(about)
+        base = self.accelerations(at, torque, numbers)
+        answers = []
+        for j in range(self.joints):
+            more, push = torque.copy(), PUSH * self.torque[j]
+            more[:, j] += push
+            pushed = at if gives is None else replace(at, qdd=at.qdd + push * gives[:, :, j])
+            answers.append((self.accelerations(pushed, more, numbers) - base) / push)
+        mass: Array = np.asarray(np.linalg.pinv(np.stack(answers, axis=2)))
+        return mass, torque - _times(mass, base), base
+
+    def _slope(self, at: State, known: Known, base: Array, j: int) -> Array:
+        """Change of a joint's torque with its own position at the same motion, (n,)."""
+        torque, mass, *_ = known
+        off = STEP * max(float(np.ptp(at.q[:, j])), 1e-6)
+        q = at.q.copy()
+        q[:, j] += off
+        there = self.accelerations(replace(at, q=q), torque, self.numbers())
+        return -_times(mass, there - base)[:, j] / off
+
+    def _moved(
+        self, at: State, known: Known, key: str
+    ) -> tuple[Array, Array]:
+        """Derivatives of the mass matrix (n, joints, joints) and of the torque without acceleration
+        (n, joints) by a free number.
+        """
+        value = self.model.mechanism[key][0].value
+        step = STEP * abs(value)
+        numbers, (torque, mass, rest, about) = self.numbers(**{key: value + step}), known
+        if key not in self.in_mass:
+            some = np.unique(np.linspace(0, len(at) - 1, PROBES).astype(int))
+            other = self._body(at.at(some), torque[some], numbers, about[some])[0] - mass[some]
+            self.in_mass[key] = bool(np.abs(other).max() > MOVES_MASS * np.abs(mass).max())
+        if self.in_mass[key]:
+            other, needed, _ = self._body(at, torque, numbers, about)
+            return (other - mass) / step, (needed - rest) / step
+        needed = torque - _times(mass, self.accelerations(at, torque, numbers))
+        return np.zeros_like(mass), (needed - rest) / step
+
+    def _torque(self, motion: State, torque: Array, mass: Array) -> Array:
+        """The torque that the simulator needs at every row, (n, joints)."""
+        n = len(motion)
+        starts = np.arange(0, n, RUN)
+        numbers, out = self.numbers(), torque.copy()
+        rows = np.minimum(starts[:, None] + np.arange(RUN), n - 1)
+        held = torque[rows].mean(axis=1)
+        for count in np.unique(np.minimum(RUN, n - starts)):
+            some = np.minimum(RUN, n - starts) == count
+            at = rows[some][:, :count]
+            answer = self._simulated(motion.at(at[:, 0]), held[some], numbers, count + 1)
+            came = np.diff(answer, 2, axis=1) / self.sample_time**2  # (windows, count, joints)
+            off = motion.qdd[at] - came
+            out[at] = held[some][:, None] + np.einsum("wcij,wcj->wci", mass[at], off)
+        return out
+
+    # ---- the simulator
+
+    def accelerations(self, at: State, torque: Array, numbers: Parameters) -> Array:
+        """Acceleration in some states under a torque, (n, joints)."""
+        answer = self._simulated(at, torque, numbers, ROWS)
+        return np.diff(answer, 2, axis=1)[:, 0] / self.sample_time**2
+
+    def _simulated(self, at: State, torque: Array, numbers: Parameters, rows: int) -> Array:
+        """Positions under constant torques from a row before each state on, (n, rows + 1,
+        joints).
+        """
+        h, n = self.sample_time, len(at)
+        gain = [per_joint(self.model.actuator.gain, j + 1, 1.0) for j in range(self.joints)]
+        t = h * np.arange(-1, rows)[None, :, None]
+        q = at.q[:, None] + at.qd[:, None] * t + 0.5 * at.qdd[:, None] * t**2
+        qd = at.qd[:, None] + at.qdd[:, None] * t
+        command = np.repeat((torque / gain)[:, None], rows + 1, axis=1)
+        if self.joints == 1:
+            q, qd, command = q[..., 0], qd[..., 0], command[..., 0]
+        clock = t[0, :, 0] + h
+        recordings: list[Columns] = [
+            {
+                "time": clock, "sample_time": h, "position": q[i], "velocity": qd[i],
+                "command": command[i], "reference": q[i],
+            }
+            for i in range(n)
+        ]  # fmt: skip
+        began = time.perf_counter()
+        parts = self.simulator.run(recordings, numbers)
+        self.calls += n
+        self.seconds = (time.perf_counter() - began) / max(n, 1)
+        out = np.array(parts, dtype=np.float64)
+        wanted = (n, rows + 1, self.joints)
+        if out.size != np.prod(wanted):
+            raise ModelError(
+                f"{self.simulator.name} returned shape {out.shape[1:]}; expected {wanted[1:]}: a"
+                " position for every row"
+            )
+        return out.reshape(wanted)
+
+
+def _basis(
+    qdd: Array, mass: Array, torque: Array, slope: Array,
+    changes: dict[str, tuple[Array, Array]], values: dict[str, float],
+) -> dict[str, Basis]:  # fmt: skip
+    """The coefficients of one joint: what is left of inertia and torque where all free numbers are
+    0, and how they change with each.
+    """
+    inertia, bias, out = mass.copy(), torque - mass * qdd, {}
+    least = FELT * np.sqrt(np.mean(torque**2))
+    for key, (dm, dt) in changes.items():
+        if abs(values[key]) * np.sqrt(np.mean(dt**2)) < least:
+            continue  # of another joint
+        rest = dt - dm * qdd
+        inertia -= values[key] * dm
+        bias -= values[key] * rest
+        out[key] = Basis(np.ascontiguousarray(dm), np.ascontiguousarray(rest))
+    return {"fixed": Basis(inertia, bias, np.ascontiguousarray(slope)), **out}
+
+
+def _times(mass: Array, x: Array) -> Array:
+    return np.asarray(np.einsum("nij,nj->ni", mass, x))
+
+
+def _alike(one: Array, other: Array) -> npt.NDArray[np.bool_]:
+    """Where mass matrices agree, (n,): not where a joint sticks, or a command is cut."""
+    size = np.abs(one).max(axis=(1, 2))
+    return np.asarray(np.abs(other - one).max(axis=(1, 2)) < AGREE * size)
+
+
+def _between(at: npt.NDArray[np.int64], values: Array, rows: npt.NDArray[np.int64]) -> Array:
+    """Values at some rows, at all rows."""
+    from scipy.interpolate import CubicSpline
+
+    if len(at) == len(rows):
+        return values
+    if len(at) < 3:
+        return np.repeat(values[:1], len(rows), axis=0)
+    return np.ascontiguousarray(CubicSpline(at, values, axis=0)(np.clip(rows, at[0], at[-1])))
+
+
+def expanded(model: Model) -> Model:
+    """The model with a name for every number of a simulator: those of a list are ``key[1]``, …"""
+    named: dict[str, tuple[Quantity, ...]] = {}
+    for key, items in model.mechanism.items():
+        if len(items) == 1:
+            named[key] = items
+        else:
+            named |= {f"{key}[{i}]": (q,) for i, q in enumerate(items, 1)}
+    return replace(model, mechanism=named)
+
+
+def folded(values: dict[str, float]) -> Parameters:
+    """The numbers as the simulator takes them: lists for ``key[1]``, …"""
+    out: dict[str, float | list[float]] = {}
+    for key, value in values.items():
+        name, found, _ = key.partition("[")
+        if not found:
+            out[key] = value
+        else:
+            listed = out.setdefault(name, [])
+            assert isinstance(listed, list)
+            listed.append(value)
+    return out
+
+
+def as_given(model: Model) -> Model:
+    """A model as files give it, without a simulator: the inverse of ``expanded``."""
+    lists: dict[str, list[Quantity]] = {}
+    for key, items in model.mechanism.items():
+        lists.setdefault(key.partition("[")[0], []).extend(items)
+    mechanism = {key: tuple(items) for key, items in lists.items()}
+    return replace(model, mechanism=mechanism, called=None)
+
+
+def rigid(signals: Sequence[Signals], model: Model, simulator: Simulator) -> Called | None:
+    """A simulator as a rigid body; None where it is none, or does not start where it is told."""
+    s = signals[0]
+    joints = range(s.position.shape[1])
+    gains = np.array([per_joint(model.actuator.gain, j + 1, 1.0) for j in joints])
+    torque = np.sqrt(np.mean(np.concatenate([x.command for x in signals]) ** 2, axis=0))
+    if not np.all(torque > 0):
+        return None
+    called = Called(expanded(model), simulator, s.sample_time, np.abs(gains) * torque)
+    states = _states(s)
+    some = np.unique(np.linspace(0.02 * len(states), 0.98 * len(states) - 1, PROBES).astype(int))
+    at, pull = states.at(some), gains * s.command[some]
+    return called if _is_rigid(called, at, pull) else None
+
+
+def _is_rigid(called: Called, at: State, torque: Array) -> bool:
+    """Whether the simulator starts in given states and answers a torque at once."""
+    numbers, h = called.numbers(), called.sample_time
+    late = max(ROWS + 2, round(LATER / h))
+    base = called._simulated(at, torque, numbers, late)
+    begun = at.q - at.qd * h + 0.5 * at.qdd * h * h
+    span = np.maximum(np.ptp(at.q, axis=0), 1e-12)
+    speed = np.maximum(np.sqrt(np.mean(at.qd**2, axis=0)), 1e-12)
+    went = np.diff(base[:, :2], axis=1)[:, 0] / h
+    starts = np.abs(base[:, 0] - begun).max() < 1e-6 * span.max()
+    moves = np.sqrt(np.mean((went - at.qd) ** 2, axis=0)) < 0.1 * speed
+    if not (starts and np.all(moves)):
+        return False
+    good = np.ones(len(at), dtype=bool)
+    for j in range(called.joints):
+        answers = []
+        for times in (1.0, 2.0):
+            more = torque.copy()
+            more[:, j] += times * PUSH * called.torque[j]
+            moved = np.diff(called._simulated(at, more, numbers, late) - base, 2, axis=1) / h**2
+            answers.append(moved / (times * PUSH * called.torque[j]))
+        once, twice = answers
+        size = np.abs(once[:, 0]).max(axis=1)
+        good &= size > 0
+        good &= np.abs(once[:, 0] - twice[:, 0]).max(axis=1) < AGREE * size
+        over = once[:, :, j] / np.where(once[:, :1, j] == 0, 1e-300, once[:, :1, j])
+        good &= (over.min(axis=1) > AT_ONCE[0]) & (over.max(axis=1) < AT_ONCE[1])
+    return bool(np.mean(good) >= RIGID_SHARE)
+
+
+def _states(s: Signals) -> State:
+    """The smoothed motion of a recording."""
+    states = []
+    for j in range(s.position.shape[1]):
+        y = np.ascontiguousarray(s.position[:, j])
+        resolution = float(s.resolution[j])
+        seen = measure(y, s.sample_time, resolution, noise_beside_quantisation(y, resolution))
+        states.append(smooth(seen, s.sample_time).states)
+    return State(*np.ascontiguousarray(np.stack(states).transpose(1, 2, 0)))
