@@ -15,17 +15,20 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.data.regression import look
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.diagnosis.external.simulator import Simulator
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.errors import ModelError
+from zendsp.physics.calibration.fit import TOO_FAR
 from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth
 from zendsp.physics.model import Model, Quantity, per_joint
 from zendsp.physics.robots.rigid import Basis
@@ -42,13 +45,15 @@ STEP = 1e-3  # of a free number
 AGREE = 0.02  # of the answer to a push: more, and twice the push does something else
 AT_ONCE = (0.75, 1.1)  # answer to a torque after LATER, over that at once
 LATER = 0.02  # s
+AT_A_TIME = 500  # simulations between two looks at Ctrl-C
 PROBES = 48  # states at which a simulator is asked whether it is a rigid body
 RIGID_SHARE = 0.7  # of these at which it must be
+TRIED = 0.1  # of the numbers: whether the torque is linear in them
+BENT = 1e-3  # of a joint's torque: the derivatives of the torque are no longer those
+CALIBRATED = 300  # states to which numbers are fitted roughly
+TURNS = 0.1  # of the speed: slower is a reversal
 FELT = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
 MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
-
-# torque, mass matrix and torque without acceleration in some states; the first guess of the mass
-Known = tuple[Array, Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -63,11 +68,37 @@ class State:
         """The motion at some rows."""
         return State(self.q[rows], self.qd[rows], self.qdd[rows])
 
-    def __getitem__(self, rows: Any) -> State:
-        return self.at(rows)
-
     def __len__(self) -> int:
         return len(self.q)
+
+
+@dataclass(frozen=True)
+class Near:
+    """What a simulator is in some states, (n, …) each.
+
+    Attributes
+    ----------
+    at : State
+        Those in which pushes of two sizes say the same.
+    torque : ndarray, shape (n, joints)
+        With which they were simulated: nearly that of the motion.
+    mass, rest : ndarray
+        Mass matrices (n, joints, joints), and torque without acceleration (n, joints).
+    answer : ndarray, shape (n, joints)
+        Acceleration by ``torque``.
+    first : ndarray, shape (n, joints, joints)
+        First guess of the mass matrices.
+    good : ndarray, shape (states asked for,)
+        Which of them these are.
+    """
+
+    at: State
+    torque: Array
+    mass: Array
+    rest: Array
+    answer: Array
+    first: Array
+    good: npt.NDArray[np.bool_]
 
 
 @dataclass
@@ -80,24 +111,43 @@ class Called:
         Expanded (``expanded``): every number has a name.
     torque : ndarray, shape (joints,)
         RMS of each joint, N m or N.
+    probe : State
+        Some states of the measured motion.
+    about : dict
+        Values of the numbers about which torques are taken as linear in them.
     tell : callable
-        Receives the number of states and all of them.
+        Receives a sentence while states are simulated.
+    calls : int
+        Simulations so far, of a few rows each.
+    owner : int
+        The process that may call the simulator.
+    known : dict
+        What was answered, by motion.
+    in_mass : dict
+        Whether a number changes the mass matrix.
+    feels : dict
+        Whether a joint (from 0) feels a number.
     """
 
     model: Model
     simulator: Simulator
     sample_time: float
     torque: Array
-    tell: Callable[[int, int], None] = lambda _done, _all: None
+    probe: State
+    about: dict[str, float]
+    tell: Progress = print
     calls: int = 0
-    known: dict[bytes, list[dict[str, Basis]]] = field(default_factory=dict)
     owner: int = field(default_factory=os.getpid)
+    known: dict[bytes, list[dict[str, Basis]]] = field(default_factory=dict)
     in_mass: dict[str, bool] = field(default_factory=dict)
+    feels: dict[tuple[str, int], bool] = field(default_factory=dict)
     seconds: float = 0.0  # a state takes, with its restart
+    asked: int = 0  # states that the present motion needs
+    begun: int = 0  # ``calls`` before it
 
     def __getstate__(self) -> dict[str, Any]:
         """Another process has only the records that were made."""
-        none = {"simulator": None, "known": {}, "owner": -1, "tell": None}
+        none: dict[str, Any] = {"simulator": None, "known": {}, "owner": -1, "tell": None}
         return {**self.__dict__, **none}
 
     @property
@@ -107,7 +157,12 @@ class Called:
 
     def numbers(self, **moved: float) -> Parameters:
         """The simulator's parameters, some of them moved."""
-        return folded({k: moved.get(k, q[0].value) for k, q in self.model.mechanism.items()})
+        return folded({**self.about, **moved})
+
+    @property
+    def free(self) -> list[str]:
+        """Names of the numbers that may be calibrated."""
+        return [k for k, q in self.model.mechanism.items() if q[0].free and q[0].value != 0]
 
     def bases(self, motion: Sequence[Array]) -> list[dict[str, Basis]]:
         """As ``robots.rigid.bases``: the coefficients of each free number, and of the rest.
@@ -136,36 +191,58 @@ class Called:
     def _along(self, motion: State) -> list[dict[str, Basis]]:
         n, rows = len(motion), np.arange(len(motion))
         poses = np.unique(np.r_[rows[:: self._every(n)], n - 1])
-        at, numbers = motion.at(poses), self.numbers()
-        first, rest, _ = self._body(at, np.zeros_like(at.q), numbers)
-        torque = _times(first, at.qdd) + rest
-        mass, rest, answer = self._body(at, torque, numbers, first)  # in the very states
-        good = _alike(first, mass)
-        if np.mean(good) < RIGID_SHARE:
-            good[:] = True
-        poses, at, *parts = (x[good] for x in (poses, at, torque, mass, rest, first, answer))
-        torque, mass, known = parts[0], parts[1], tuple(parts[:4])
-        slope = [self._slope(at, known, parts[4], j) for j in range(self.joints)]
-        free = [k for k, q in self.model.mechanism.items() if q[0].free and q[0].value != 0]
-        every = _between(poses, mass, rows)
-        whole = self._torque(motion, _between(poses, torque, rows), every)
-        values, changes = {k: self.model.mechanism[k][0].value for k in free}, {}
-        for k in free:
-            dm, dh = (_between(poses, x, rows) for x in self._moved(at, known, k))
-            changes[k] = dm, _times(dm, motion.qdd) + dh
-        return [
-            _basis(motion.qdd[:, j], every[:, j, j], whole[:, j], _between(poses, slope[j], rows),
-                   {k: (dm[:, j, j], dt[:, j]) for k, (dm, dt) in changes.items()}, values)
-            for j in range(self.joints)
-        ]  # fmt: skip
+        self.asked, self.begun = self._needed(len(poses)) + n // RUN, self.calls
+        near = self._near(motion.at(poses))
+        poses = poses[near.good]
+
+        def everywhere(values: Array) -> Array:
+            return _between(poses, values, rows)
+
+        mass = everywhere(near.mass)
+        torque = self._torque(motion, everywhere(near.torque), mass)
+        slope = everywhere(np.stack([self._slope(near, j) for j in range(self.joints)], axis=1))
+        changes = {}
+        for key in self.free:
+            dm, dh = (everywhere(x) for x in self._moved(near, key))
+            changes[key] = dm, _times(dm, motion.qdd) + dh
+        out = []
+        for j in range(self.joints):
+            own = {k: (dm[:, j, j], dt[:, j]) for k, (dm, dt) in changes.items()}
+            felt = {k: x for k, x in own.items() if self._feels(k, j, x[1], torque[:, j])}
+            out.append(_basis(motion.qdd[:, j], mass[:, j, j], torque[:, j], felt, self.about))
+            fixed = out[-1]["fixed"]
+            out[-1]["fixed"] = replace(fixed, slope=np.ascontiguousarray(slope[:, j]))
+        return out
+
+    def _feels(self, key: str, j: int, change: Array, torque: Array) -> bool:
+        """Whether a joint (from 0) feels a number: the same in all recordings."""
+        felt = abs(self.about[key]) * np.sqrt(np.mean(change**2))
+        least = FELT * np.sqrt(np.mean(torque**2))
+        return self.feels.setdefault((key, j), bool(felt > least))
+
+    def _needed(self, states: int) -> int:
+        """Simulations for so many states."""
+        moved = sum(1 + self.joints * self.in_mass.get(k, True) for k in self.free)
+        return states * (2 * (1 + self.joints) + self.joints + moved)
 
     def _every(self, n: int) -> int:
         """Rows between the states at which the mass matrix is asked for."""
         period = self.sample_time
-        asked = (1 + self.joints) * (2 + len(self.model.mechanism)) + self.joints
-        needed = self.seconds * asked * n * period / POSES
+        needed = self.seconds * self._needed(max(1, round(n * period / POSES)))
         apart = POSES * min(max(1.0, needed / PATIENCE), MOST_POSES / POSES)
         return max(1, round(apart / period))
+
+    def _near(self, at: State) -> Near:
+        """What the simulator is in some states."""
+        first, rest, _ = self._body(at, np.zeros_like(at.q), self.numbers())
+        torque = _times(first, at.qdd) + rest
+        mass, rest, answer = self._body(at, torque, self.numbers(), first)  # in the very states
+        good = _alike(first, mass)
+        if np.mean(good) < RIGID_SHARE:
+            good[:] = True
+        return Near(
+            at.at(good), torque[good], mass[good], rest[good], answer[good], first[good], good
+        )
 
     def _body(
         self, at: State, torque: Array, numbers: Parameters, about: Array | None = None
@@ -185,33 +262,81 @@ class Called:
         mass: Array = np.asarray(np.linalg.pinv(np.stack(answers, axis=2)))
         return mass, torque - _times(mass, base), base
 
-    def _slope(self, at: State, known: Known, base: Array, j: int) -> Array:
+    def _slope(self, near: Near, j: int) -> Array:
         """Change of a joint's torque with its own position at the same motion, (n,)."""
-        torque, mass, *_ = known
-        off = STEP * max(float(np.ptp(at.q[:, j])), 1e-6)
-        q = at.q.copy()
+        off = STEP * max(float(np.ptp(near.at.q[:, j])), 1e-6)
+        q = near.at.q.copy()
         q[:, j] += off
-        there = self.accelerations(replace(at, q=q), torque, self.numbers())
-        return -_times(mass, there - base)[:, j] / off
+        there = self.accelerations(replace(near.at, q=q), near.torque, self.numbers())
+        out: Array = -_times(near.mass, there - near.answer)[:, j] / off
+        return out
 
-    def _moved(
-        self, at: State, known: Known, key: str
-    ) -> tuple[Array, Array]:
+    def _moved(self, near: Near, key: str) -> tuple[Array, Array]:
         """Derivatives of the mass matrix (n, joints, joints) and of the torque without acceleration
         (n, joints) by a free number.
         """
-        value = self.model.mechanism[key][0].value
-        step = STEP * abs(value)
-        numbers, (torque, mass, rest, about) = self.numbers(**{key: value + step}), known
+        at, torque, about = near.at, near.torque, near.first
+        step = STEP * abs(self.about[key])
+        numbers = self.numbers(**{key: self.about[key] + step})
         if key not in self.in_mass:
             some = np.unique(np.linspace(0, len(at) - 1, PROBES).astype(int))
-            other = self._body(at.at(some), torque[some], numbers, about[some])[0] - mass[some]
-            self.in_mass[key] = bool(np.abs(other).max() > MOVES_MASS * np.abs(mass).max())
+            other = self._body(at.at(some), torque[some], numbers, about[some])[0]
+            change = np.abs(other - near.mass[some]).max()
+            self.in_mass[key] = bool(change > MOVES_MASS * np.abs(near.mass).max())
         if self.in_mass[key]:
             other, needed, _ = self._body(at, torque, numbers, about)
-            return (other - mass) / step, (needed - rest) / step
-        needed = torque - _times(mass, self.accelerations(at, torque, numbers))
-        return np.zeros_like(mass), (needed - rest) / step
+            return (other - near.mass) / step, (needed - near.rest) / step
+        needed = torque - _times(near.mass, self.accelerations(at, torque, numbers))
+        return np.zeros_like(near.mass), (needed - near.rest) / step
+
+    # ---- numbers in which the torque is not linear
+
+    def bent(self, values: Mapping[str, float]) -> float:
+        """How far the torque with other numbers is from what the derivatives say of them, as a part
+        of the joint's torque: the largest of any joint.
+        """
+        near = self._near(self.probe)
+        torque = near.torque.copy()
+        for key in self.free:
+            dm, dh = self._moved(near, key)
+            torque += (values[key] - self.about[key]) * (_times(dm, near.at.qdd) + dh)
+        numbers = self.numbers(**{k: values[k] for k in self.free})
+        mass, rest, _ = self._body(near.at, torque, numbers, near.first)
+        off = torque - _times(mass, near.at.qdd) - rest
+        return float(np.max(np.sqrt(np.mean(off**2, axis=0)) / self.torque))
+
+    def calibrated(self, at: State, torque: Array) -> dict[str, float]:
+        """The numbers with which the simulator needs nearly a measured torque (n, joints), by least
+        squares beside friction, a spring and an offset of each joint.
+        """
+        near = self._near(at)
+        moved = {}
+        for key in self.free:
+            dm, dh = self._moved(near, key)
+            moved[key] = (_times(dm, near.at.qdd) + dh) / self.torque
+        columns = [self.about[key] * x.T.ravel() for key, x in moved.items()]
+        for j in range(self.joints):
+            q, qd = near.at.q[:, j], near.at.qd[:, j]
+            slow = TURNS * float(np.std(qd)) + 1e-12
+            for shape in (np.ones_like(q), q - q.mean(), qd, np.tanh(qd / slow)):
+                column = np.zeros_like(near.at.q)
+                column[:, j] = shape / max(float(np.std(shape)), 1.0)
+                columns.append(column.T.ravel())
+        off = ((torque[near.good] - near.torque) / self.torque).T.ravel()
+        found = np.linalg.lstsq(np.stack(columns, axis=1), off, rcond=1e-6)[0]
+        low, high = 1.0 / TOO_FAR, TOO_FAR
+        given = {k: self.model.mechanism[k][0].value for k in self.free}
+        return {
+            key: given[key] * float(np.clip(self.about[key] / given[key] * (1 + by), low, high))
+            for key, by in zip(moved, found, strict=False)
+        }
+
+    def move_to(self, values: Mapping[str, float]) -> None:
+        """Take torques as linear about other numbers."""
+        self.about |= values
+        self.known.clear()
+
+    # ---- the simulator
 
     def _torque(self, motion: State, torque: Array, mass: Array) -> Array:
         """The torque that the simulator needs at every row, (n, joints)."""
@@ -228,8 +353,6 @@ class Called:
             off = motion.qdd[at] - came
             out[at] = held[some][:, None] + np.einsum("wcij,wcj->wci", mass[at], off)
         return out
-
-    # ---- the simulator
 
     def accelerations(self, at: State, torque: Array, numbers: Parameters) -> Array:
         """Acceleration in some states under a torque, (n, joints)."""
@@ -248,7 +371,7 @@ class Called:
         command = np.repeat((torque / gain)[:, None], rows + 1, axis=1)
         if self.joints == 1:
             q, qd, command = q[..., 0], qd[..., 0], command[..., 0]
-        clock = t[0, :, 0] + h
+        clock: Array = h * np.arange(rows + 1, dtype=np.float64)
         recordings: list[Columns] = [
             {
                 "time": clock, "sample_time": h, "position": q[i], "velocity": qd[i],
@@ -256,37 +379,50 @@ class Called:
             }
             for i in range(n)
         ]  # fmt: skip
+        parts: list[Array] = []
         began = time.perf_counter()
-        parts = self.simulator.run(recordings, numbers)
-        self.calls += n
+        for first in range(0, n, AT_A_TIME):
+            some = recordings[first : first + AT_A_TIME]
+            parts += self.simulator.run(some, numbers)
+            self.calls += len(some)
+            self._progress()
         self.seconds = (time.perf_counter() - began) / max(n, 1)
-        out = np.array(parts, dtype=np.float64)
+        try:
+            out = np.array(parts, dtype=np.float64)
+        except ValueError:
+            out = np.zeros(0)
         wanted = (n, rows + 1, self.joints)
         if out.size != np.prod(wanted):
             raise ModelError(
-                f"{self.simulator.name} returned shape {out.shape[1:]}; expected {wanted[1:]}: a"
-                " position for every row"
+                f"{self.simulator.name} returned shape {np.shape(parts[0])}; expected {wanted[1:]}:"
+                " a position for every row"
             )
         return out.reshape(wanted)
 
+    def _progress(self) -> None:
+        done = self.calls - self.begun
+        tenths = min(10, 10 * done // max(self.asked, 1))
+        bar = "█" * tenths + "░" * (10 - tenths)
+        self.tell(Step.READING.says(f"asking the simulator along the motion {bar} {done} states"))
+
 
 def _basis(
-    qdd: Array, mass: Array, torque: Array, slope: Array,
-    changes: dict[str, tuple[Array, Array]], values: dict[str, float],
-) -> dict[str, Basis]:  # fmt: skip
+    qdd: Array,
+    mass: Array,
+    torque: Array,
+    changes: Mapping[str, tuple[Array, Array]],
+    values: Mapping[str, float],
+) -> dict[str, Basis]:
     """The coefficients of one joint: what is left of inertia and torque where all free numbers are
     0, and how they change with each.
     """
     inertia, bias, out = mass.copy(), torque - mass * qdd, {}
-    least = FELT * np.sqrt(np.mean(torque**2))
     for key, (dm, dt) in changes.items():
-        if abs(values[key]) * np.sqrt(np.mean(dt**2)) < least:
-            continue  # of another joint
         rest = dt - dm * qdd
         inertia -= values[key] * dm
         bias -= values[key] * rest
         out[key] = Basis(np.ascontiguousarray(dm), np.ascontiguousarray(rest))
-    return {"fixed": Basis(inertia, bias, np.ascontiguousarray(slope)), **out}
+    return {"fixed": Basis(inertia, bias), **out}
 
 
 def _times(mass: Array, x: Array) -> Array:
@@ -344,19 +480,49 @@ def as_given(model: Model) -> Model:
     return replace(model, mechanism=mechanism, called=None)
 
 
-def rigid(signals: Sequence[Signals], model: Model, simulator: Simulator) -> Called | None:
+def rigid(
+    signals: Sequence[Signals], model: Model, simulator: Simulator, tell: Progress
+) -> Called | None:
     """A simulator as a rigid body; None where it is none, or does not start where it is told."""
     s = signals[0]
     joints = range(s.position.shape[1])
     gains = np.array([per_joint(model.actuator.gain, j + 1, 1.0) for j in joints])
-    torque = np.sqrt(np.mean(np.concatenate([x.command for x in signals]) ** 2, axis=0))
-    if not np.all(torque > 0):
+    effort = np.sqrt(np.mean(np.concatenate([x.command for x in signals]) ** 2, axis=0))
+    if not np.all(effort > 0):
         return None
-    called = Called(expanded(model), simulator, s.sample_time, np.abs(gains) * torque)
     states = _states(s)
-    some = np.unique(np.linspace(0.02 * len(states), 0.98 * len(states) - 1, PROBES).astype(int))
-    at, pull = states.at(some), gains * s.command[some]
-    return called if _is_rigid(called, at, pull) else None
+    some = _spread(states, PROBES)
+    names = expanded(model)
+    values = {k: q[0].value for k, q in names.mechanism.items()}
+    torque = np.abs(gains) * effort
+    called = Called(names, simulator, s.sample_time, torque, states.at(some), values, tell)
+    if not _is_rigid(called, called.probe, gains * s.command[some]):
+        return None
+    _straighten(called, s, gains)
+    return called
+
+
+def _spread(states: State, count: int) -> npt.NDArray[np.int64]:
+    """Rows spread over a motion."""
+    n = len(states)
+    return np.unique(np.linspace(0.02 * n, 0.98 * n - 1, count).astype(np.int64))
+
+
+def _straighten(called: Called, s: Signals, gains: Array) -> None:
+    """Take torques as linear about numbers near those of the machine, where they are not linear."""
+    ways = np.resize([1.0 + TRIED, 1.0 - TRIED], len(called.free))
+    other = {k: w * called.about[k] for k, w in zip(called.free, ways, strict=True)}
+    if not called.free or called.bent(other) < BENT:
+        return
+    noise = [
+        noise_beside_quantisation(y, float(r))
+        for y, r in zip(s.position.T, s.resolution, strict=True)
+    ]
+    slow = look(s.position.T, s.command.T, s.sample_time, np.array(noise))
+    state = State(slow.q.T, slow.qd.T, slow.qdd.T)
+    some = _spread(state, CALIBRATED)
+    for _ in range(2):
+        called.move_to(called.calibrated(state.at(some), gains * slow.command.T[some]))
 
 
 def _is_rigid(called: Called, at: State, torque: Array) -> bool:

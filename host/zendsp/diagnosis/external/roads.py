@@ -11,7 +11,7 @@ from typing import Any
 from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.external.blackbox import diagnose_simulator
-from zendsp.diagnosis.external.rigid import Called, as_given, rigid
+from zendsp.diagnosis.external.rigid import BENT, Called, as_given, rigid
 from zendsp.diagnosis.external.simulator import simulator_of
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.model import Model
@@ -43,12 +43,18 @@ def diagnose_called(
     simulator = simulator_of(given, jobs)
     try:
         tell(Step.READING.says("asking the simulator whether it answers a torque at once"))
-        called = rigid(read_divided(*sources, given)[0], given, simulator)
+        called = rigid(read_divided(*sources, given)[0], given, simulator, tell)
         if called is None:
             return diagnose_simulator(
                 sources[0], kernel_model(given), sources[1], simulator, progress=tell
             )
-        return _without_simulator(diagnose(sources, replace(called.model, called=called)), called)
+        found = diagnose(sources, replace(called.model, called=called))
+        values = {k: q[0].value for k, q in found.improved.mechanism.items()}
+        if not found.stopped and called.free and called.bent(values) > BENT:
+            tell(Step.ANEW.says("once more, about the numbers that were found"))
+            called.move_to({k: values[k] for k in called.free})
+            found = diagnose(sources, replace(called.model, called=called))
+        return _without_simulator(found, called)
     finally:
         simulator.close()
 
