@@ -22,35 +22,31 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.regression import look
-from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.external.columns import Columns, Parameters
+from zendsp.diagnosis.external.numbers import folded
 from zendsp.diagnosis.external.simulator import Simulator
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.errors import ModelError
 from zendsp.physics.calibration.fit import TOO_FAR
-from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth
-from zendsp.physics.model import Model, Quantity, per_joint
+from zendsp.physics.model import Model, per_joint
 from zendsp.physics.robots.rigid import Basis
 
 Array = npt.NDArray[np.float64]
 
 ROWS = 2  # simulated from each state: the fewest with a second difference
-RUN = 4  # states in a row that one simulation passes, where its torque is all but constant
-POSES = 0.02  # s: over it a mass matrix changes smoothly
-MOST_POSES = 0.06  # s: between states of a slow simulator
-PATIENCE = 10.0  # s: a simulator that needs longer is asked at fewer states
+# s that one simulation passes along the motion, where its torque is all but constant. With 16 ms
+# its speed went astray by as much as a Coulomb friction of 0.05 % of the torque, which was claimed
+PASSES = 0.004
+APART = 0.25  # rad of the motion's mean frequency: states between which splines do
+POSES = (0.005, 0.06)  # s: between them, at least and at most
+SLOW, FEWER = 5e-3, 3  # s for a state of a simulator; one that needs longer is asked at a third
 PUSH = 0.5  # of the RMS torque
 STEP = 1e-3  # of a free number
 AGREE = 0.02  # of the answer to a push: more, and twice the push does something else
-AT_ONCE = (0.75, 1.1)  # answer to a torque after LATER, over that at once
-LATER = 0.02  # s
 AT_A_TIME = 500  # simulations between two looks at Ctrl-C
 PROBES = 48  # states at which a simulator is asked whether it is a rigid body
 RIGID_SHARE = 0.7  # of these at which it must be
-TRIED = 0.1  # of the numbers: whether the torque is linear in them
 BENT = 1e-3  # of a joint's torque: the derivatives of the torque are no longer those
-CALIBRATED = 300  # states to which numbers are fitted roughly
 TURNS = 0.1  # of the speed: slower is a reversal
 FELT = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
 MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
@@ -86,8 +82,8 @@ class Near:
         Mass matrices (n, joints, joints), and torque without acceleration (n, joints).
     answer : ndarray, shape (n, joints)
         Acceleration by ``torque``.
-    first : ndarray, shape (n, joints, joints)
-        First guess of the mass matrices.
+    plain : ndarray, shape (n, joints, joints)
+        Mass matrices where a pushed simulator begins as any other: with what its speed adds.
     good : ndarray, shape (states asked for,)
         Which of them these are.
     """
@@ -97,7 +93,7 @@ class Near:
     mass: Array
     rest: Array
     answer: Array
-    first: Array
+    plain: Array
     good: npt.NDArray[np.bool_]
 
 
@@ -184,14 +180,14 @@ class Called:
     def masses(self, position: Array) -> Array:
         """Mass matrices at some positions (n, joints), in passing: (n, joints, joints)."""
         speed = np.gradient(position, axis=0) if len(position) > 1 else np.zeros_like(position)
-        some = speed / max(self.sample_time, 1e-9) / max(1, round(POSES / self.sample_time))
-        state = State(position, some, np.zeros_like(position))
+        size = float(np.abs(speed).max()) or 1.0  # some motion, so that nothing sticks
+        state = State(position, speed / size, np.zeros_like(position))
         return self._body(state, np.zeros_like(position), self.numbers())[0]
 
     def _along(self, motion: State) -> list[dict[str, Basis]]:
         n, rows = len(motion), np.arange(len(motion))
-        poses = np.unique(np.r_[rows[:: self._every(n)], n - 1])
-        self.asked, self.begun = self._needed(len(poses)) + n // RUN, self.calls
+        poses = np.unique(np.r_[rows[:: self._every(motion)], n - 1])
+        self.asked, self.begun = self._needed(len(poses)) + n // self._run, self.calls
         near = self._near(motion.at(poses))
         poses = poses[near.good]
 
@@ -220,28 +216,34 @@ class Called:
         least = FELT * np.sqrt(np.mean(torque**2))
         return self.feels.setdefault((key, j), bool(felt > least))
 
+    @property
+    def _run(self) -> int:
+        """Rows that one simulation passes along the motion."""
+        return max(1, round(PASSES / self.sample_time))
+
     def _needed(self, states: int) -> int:
         """Simulations for so many states."""
-        moved = sum(1 + self.joints * self.in_mass.get(k, True) for k in self.free)
-        return states * (2 * (1 + self.joints) + self.joints + moved)
+        moved = sum(2 + self.joints * self.in_mass.get(k, True) for k in self.free)
+        return states * (3 * (1 + self.joints) + 1 + self.joints + moved)
 
-    def _every(self, n: int) -> int:
-        """Rows between the states at which the mass matrix is asked for."""
-        period = self.sample_time
-        needed = self.seconds * self._needed(max(1, round(n * period / POSES)))
-        apart = POSES * min(max(1.0, needed / PATIENCE), MOST_POSES / POSES)
-        return max(1, round(apart / period))
+    def _every(self, motion: State) -> int:
+        """Rows between the states at which the mass matrix is asked for: fewer in a fast motion."""
+        speed, change = (np.sqrt(np.mean(x**2, axis=0)) for x in (motion.qd, motion.qdd))
+        apart = APART * float(np.min(speed / np.maximum(change, 1e-300)))
+        apart = min(max(apart, POSES[0]), POSES[1]) * (FEWER if self.seconds > SLOW else 1)
+        return max(1, round(apart / self.sample_time))
 
     def _near(self, at: State) -> Near:
         """What the simulator is in some states."""
         first, rest, _ = self._body(at, np.zeros_like(at.q), self.numbers())
         torque = _times(first, at.qdd) + rest
-        mass, rest, answer = self._body(at, torque, self.numbers(), first)  # in the very states
+        plain, *_ = self._body(at, torque, self.numbers())
+        mass, rest, answer = self._body(at, torque, self.numbers(), plain)
         good = _alike(first, mass)
         if np.mean(good) < RIGID_SHARE:
             good[:] = True
         return Near(
-            at.at(good), torque[good], mass[good], rest[good], answer[good], first[good], good
+            at.at(good), torque[good], mass[good], rest[good], answer[good], plain[good], good
         )
 
     def _body(
@@ -249,10 +251,14 @@ class Called:
     ) -> tuple[Array, Array, Array]:
         """Mass matrices (n, joints, joints), the torque without acceleration (n, joints), and the
         acceleration by the torque (n, joints). ``about``: mass matrices as far as known, by which a
-        pushed simulator begins so that it passes the same state as one that is not.
+        pushed simulator begins so that it passes the same state as one that is not. Otherwise its
+        own speed would be in the answer: a viscosity of b had added b times a row to the inertia.
         """
         gives = None if about is None else np.linalg.pinv(about)
         base = self.accelerations(at, torque, numbers)
+        if about is not None:
+            at = replace(at, qdd=base)
+            base = self.accelerations(at, torque, numbers)
         answers = []
         for j in range(self.joints):
             more, push = torque.copy(), PUSH * self.torque[j]
@@ -275,19 +281,21 @@ class Called:
         """Derivatives of the mass matrix (n, joints, joints) and of the torque without acceleration
         (n, joints) by a free number.
         """
-        at, torque, about = near.at, near.torque, near.first
+        at, torque = near.at, near.torque
         step = STEP * abs(self.about[key])
         numbers = self.numbers(**{key: self.about[key] + step})
         if key not in self.in_mass:
             some = np.unique(np.linspace(0, len(at) - 1, PROBES).astype(int))
-            other = self._body(at.at(some), torque[some], numbers, about[some])[0]
-            change = np.abs(other - near.mass[some]).max()
-            self.in_mass[key] = bool(change > MOVES_MASS * np.abs(near.mass).max())
+            change = self._body(at.at(some), torque[some], numbers)[0] - near.plain[some]
+            self.in_mass[key] = bool(np.abs(change).max() > MOVES_MASS * np.abs(near.mass).max())
         if self.in_mass[key]:
-            other, needed, _ = self._body(at, torque, numbers, about)
-            return (other - near.mass) / step, (needed - near.rest) / step
-        needed = torque - _times(near.mass, self.accelerations(at, torque, numbers))
-        return np.zeros_like(near.mass), (needed - near.rest) / step
+            plain, _, came = self._body(at, torque, numbers)
+            change = plain - near.plain  # what a pushed simulator's speed adds is in both
+        else:
+            came, change = self.accelerations(at, torque, numbers), np.zeros_like(near.mass)
+        came = self.accelerations(replace(at, qdd=came), torque, numbers)
+        rest = torque - _times(near.mass + change, came)
+        return change / step, (rest - near.rest) / step
 
     # ---- numbers in which the torque is not linear
 
@@ -301,7 +309,7 @@ class Called:
             dm, dh = self._moved(near, key)
             torque += (values[key] - self.about[key]) * (_times(dm, near.at.qdd) + dh)
         numbers = self.numbers(**{k: values[k] for k in self.free})
-        mass, rest, _ = self._body(near.at, torque, numbers, near.first)
+        mass, rest, _ = self._body(near.at, torque, numbers, near.plain)
         off = torque - _times(mass, near.at.qdd) - rest
         return float(np.max(np.sqrt(np.mean(off**2, axis=0)) / self.torque))
 
@@ -331,6 +339,12 @@ class Called:
             for key, by in zip(moved, found, strict=False)
         }
 
+    def begin(self, model: Model) -> None:
+        """Take another model of the same simulator."""
+        self.model = model
+        self.known.clear()
+        self.feels.clear()
+
     def move_to(self, values: Mapping[str, float]) -> None:
         """Take torques as linear about other numbers."""
         self.about |= values
@@ -341,14 +355,14 @@ class Called:
     def _torque(self, motion: State, torque: Array, mass: Array) -> Array:
         """The torque that the simulator needs at every row, (n, joints)."""
         n = len(motion)
-        starts = np.arange(0, n, RUN)
+        starts, most = np.arange(0, n, self._run), self._run
         numbers, out = self.numbers(), torque.copy()
-        rows = np.minimum(starts[:, None] + np.arange(RUN), n - 1)
+        rows = np.minimum(starts[:, None] + np.arange(most), n - 1)
         held = torque[rows].mean(axis=1)
-        for count in np.unique(np.minimum(RUN, n - starts)):
-            some = np.minimum(RUN, n - starts) == count
+        for count in np.unique(np.minimum(most, n - starts)):
+            some = np.minimum(most, n - starts) == count
             at = rows[some][:, :count]
-            answer = self._simulated(motion.at(at[:, 0]), held[some], numbers, count + 1)
+            answer = self.simulated(motion.at(at[:, 0]), held[some], numbers, count + 1)
             came = np.diff(answer, 2, axis=1) / self.sample_time**2  # (windows, count, joints)
             off = motion.qdd[at] - came
             out[at] = held[some][:, None] + np.einsum("wcij,wcj->wci", mass[at], off)
@@ -356,10 +370,10 @@ class Called:
 
     def accelerations(self, at: State, torque: Array, numbers: Parameters) -> Array:
         """Acceleration in some states under a torque, (n, joints)."""
-        answer = self._simulated(at, torque, numbers, ROWS)
+        answer = self.simulated(at, torque, numbers, ROWS)
         return np.diff(answer, 2, axis=1)[:, 0] / self.sample_time**2
 
-    def _simulated(self, at: State, torque: Array, numbers: Parameters, rows: int) -> Array:
+    def simulated(self, at: State, torque: Array, numbers: Parameters, rows: int) -> Array:
         """Positions under constant torques from a row before each state on, (n, rows + 1,
         joints).
         """
@@ -444,123 +458,3 @@ def _between(at: npt.NDArray[np.int64], values: Array, rows: npt.NDArray[np.int6
     if len(at) < 3:
         return np.repeat(values[:1], len(rows), axis=0)
     return np.ascontiguousarray(CubicSpline(at, values, axis=0)(np.clip(rows, at[0], at[-1])))
-
-
-def expanded(model: Model) -> Model:
-    """The model with a name for every number of a simulator: those of a list are ``key[1]``, …"""
-    named: dict[str, tuple[Quantity, ...]] = {}
-    for key, items in model.mechanism.items():
-        if len(items) == 1:
-            named[key] = items
-        else:
-            named |= {f"{key}[{i}]": (q,) for i, q in enumerate(items, 1)}
-    return replace(model, mechanism=named)
-
-
-def folded(values: dict[str, float]) -> Parameters:
-    """The numbers as the simulator takes them: lists for ``key[1]``, …"""
-    out: dict[str, float | list[float]] = {}
-    for key, value in values.items():
-        name, found, _ = key.partition("[")
-        if not found:
-            out[key] = value
-        else:
-            listed = out.setdefault(name, [])
-            assert isinstance(listed, list)
-            listed.append(value)
-    return out
-
-
-def as_given(model: Model) -> Model:
-    """A model as files give it, without a simulator: the inverse of ``expanded``."""
-    lists: dict[str, list[Quantity]] = {}
-    for key, items in model.mechanism.items():
-        lists.setdefault(key.partition("[")[0], []).extend(items)
-    mechanism = {key: tuple(items) for key, items in lists.items()}
-    return replace(model, mechanism=mechanism, called=None)
-
-
-def rigid(
-    signals: Sequence[Signals], model: Model, simulator: Simulator, tell: Progress
-) -> Called | None:
-    """A simulator as a rigid body; None where it is none, or does not start where it is told."""
-    s = signals[0]
-    joints = range(s.position.shape[1])
-    gains = np.array([per_joint(model.actuator.gain, j + 1, 1.0) for j in joints])
-    effort = np.sqrt(np.mean(np.concatenate([x.command for x in signals]) ** 2, axis=0))
-    if not np.all(effort > 0):
-        return None
-    states = _states(s)
-    some = _spread(states, PROBES)
-    names = expanded(model)
-    values = {k: q[0].value for k, q in names.mechanism.items()}
-    torque = np.abs(gains) * effort
-    called = Called(names, simulator, s.sample_time, torque, states.at(some), values, tell)
-    if not _is_rigid(called, called.probe, gains * s.command[some]):
-        return None
-    _straighten(called, s, gains)
-    return called
-
-
-def _spread(states: State, count: int) -> npt.NDArray[np.int64]:
-    """Rows spread over a motion."""
-    n = len(states)
-    return np.unique(np.linspace(0.02 * n, 0.98 * n - 1, count).astype(np.int64))
-
-
-def _straighten(called: Called, s: Signals, gains: Array) -> None:
-    """Take torques as linear about numbers near those of the machine, where they are not linear."""
-    ways = np.resize([1.0 + TRIED, 1.0 - TRIED], len(called.free))
-    other = {k: w * called.about[k] for k, w in zip(called.free, ways, strict=True)}
-    if not called.free or called.bent(other) < BENT:
-        return
-    noise = [
-        noise_beside_quantisation(y, float(r))
-        for y, r in zip(s.position.T, s.resolution, strict=True)
-    ]
-    slow = look(s.position.T, s.command.T, s.sample_time, np.array(noise))
-    state = State(slow.q.T, slow.qd.T, slow.qdd.T)
-    some = _spread(state, CALIBRATED)
-    for _ in range(2):
-        called.move_to(called.calibrated(state.at(some), gains * slow.command.T[some]))
-
-
-def _is_rigid(called: Called, at: State, torque: Array) -> bool:
-    """Whether the simulator starts in given states and answers a torque at once."""
-    numbers, h = called.numbers(), called.sample_time
-    late = max(ROWS + 2, round(LATER / h))
-    base = called._simulated(at, torque, numbers, late)
-    begun = at.q - at.qd * h + 0.5 * at.qdd * h * h
-    span = np.maximum(np.ptp(at.q, axis=0), 1e-12)
-    speed = np.maximum(np.sqrt(np.mean(at.qd**2, axis=0)), 1e-12)
-    went = np.diff(base[:, :2], axis=1)[:, 0] / h
-    starts = np.abs(base[:, 0] - begun).max() < 1e-6 * span.max()
-    moves = np.sqrt(np.mean((went - at.qd) ** 2, axis=0)) < 0.1 * speed
-    if not (starts and np.all(moves)):
-        return False
-    good = np.ones(len(at), dtype=bool)
-    for j in range(called.joints):
-        answers = []
-        for times in (1.0, 2.0):
-            more = torque.copy()
-            more[:, j] += times * PUSH * called.torque[j]
-            moved = np.diff(called._simulated(at, more, numbers, late) - base, 2, axis=1) / h**2
-            answers.append(moved / (times * PUSH * called.torque[j]))
-        once, twice = answers
-        size = np.abs(once[:, 0]).max(axis=1)
-        good &= size > 0
-        good &= np.abs(once[:, 0] - twice[:, 0]).max(axis=1) < AGREE * size
-        over = once[:, :, j] / np.where(once[:, :1, j] == 0, 1e-300, once[:, :1, j])
-        good &= (over.min(axis=1) > AT_ONCE[0]) & (over.max(axis=1) < AT_ONCE[1])
-    return bool(np.mean(good) >= RIGID_SHARE)
-
-
-def _states(s: Signals) -> State:
-    """The smoothed motion of a recording."""
-    states = []
-    for j in range(s.position.shape[1]):
-        y = np.ascontiguousarray(s.position[:, j])
-        resolution = float(s.resolution[j])
-        seen = measure(y, s.sample_time, resolution, noise_beside_quantisation(y, resolution))
-        states.append(smooth(seen, s.sample_time).states)
-    return State(*np.ascontiguousarray(np.stack(states).transpose(1, 2, 0)))

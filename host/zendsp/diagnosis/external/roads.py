@@ -11,7 +11,10 @@ from typing import Any
 from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.external.blackbox import diagnose_simulator
-from zendsp.diagnosis.external.rigid import BENT, Called, as_given, rigid
+from zendsp.diagnosis.external.inner_body import without_parts
+from zendsp.diagnosis.external.numbers import as_given
+from zendsp.diagnosis.external.rigid import BENT, Called
+from zendsp.diagnosis.external.rigid_check import rigid
 from zendsp.diagnosis.external.simulator import simulator_of
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.model import Model
@@ -48,20 +51,44 @@ def diagnose_called(
             return diagnose_simulator(
                 sources[0], kernel_model(given), sources[1], simulator, progress=tell
             )
-        found = diagnose(sources, replace(called.model, called=called))
-        values = {k: q[0].value for k, q in found.improved.mechanism.items()}
-        if not found.stopped and called.free and called.bent(values) > BENT:
-            tell(Step.ANEW.says("once more, about the numbers that were found"))
-            called.move_to({k: values[k] for k in called.free})
-            found = diagnose(sources, replace(called.model, called=called))
-        return _without_simulator(found, called)
+        def asked(model: Model) -> Diagnosis:
+            called.begin(model)
+            return _straight(called, lambda: diagnose(sources, replace(model, called=called)))
+
+        found = without_parts(asked(called.model), called.model, asked)
+        return _without_simulator(found, called, given)
     finally:
         simulator.close()
 
 
-def _without_simulator(d: Diagnosis, called: Called) -> Diagnosis:
-    note = f"black box: {called.calls} short simulations; bodies cannot be tried"
+def _straight(called: Called, diagnose: Callable[[], Diagnosis]) -> Diagnosis:
+    """The diagnosis; once more about the numbers that were found, where torques are not linear."""
+    found = diagnose()
+    values = {k: q[0].value for k, q in found.improved.mechanism.items()}
+    if found.stopped or not called.free or called.bent(values) < BENT:
+        return found
+    called.tell(Step.ANEW.says("once more, about the numbers that were found"))
+    called.move_to({k: values[k] for k in called.free})
+    return diagnose()
+
+
+def _without_simulator(d: Diagnosis, called: Called, given: Model) -> Diagnosis:
+    """The diagnosis with models as files give them."""
+    note = (
+        f"black box: {called.calls} simulations of a few rows, from the states of the motion;"
+        " payloads and other bodies inside it cannot be tried"
+    )
+    free = {k: [q.free for q in items] for k, items in given.mechanism.items()}
+
+    def named(model: Model) -> Model:
+        plain = as_given(model)
+        mechanism = {
+            key: tuple(replace(q, free=f) for q, f in zip(items, free[key], strict=True))
+            for key, items in plain.mechanism.items()
+        }
+        return replace(plain, mechanism=mechanism)
+
     return replace(
-        d, given=as_given(d.given), calibrated=as_given(d.calibrated),
-        improved=as_given(d.improved), notes=(*d.notes, note),
+        d, given=named(d.given), calibrated=named(d.calibrated), improved=named(d.improved),
+        notes=(*d.notes, note),
     )  # fmt: skip
