@@ -101,8 +101,8 @@ def diagnose(
         Receives a sentence at each stage.
     so_far : bool
         After Ctrl-C return what was found at the finished joints, if any; also when only steps
-        after the search were left. A second Ctrl-C ends that too. For a black-box simulator nothing
-        is kept.
+        after the search were left. A second Ctrl-C ends that too. For a simulator that is compared
+        by its output nothing is kept.
 
     Returns
     -------
