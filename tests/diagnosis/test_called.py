@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -282,6 +282,9 @@ def test_a_body_inside_a_simulator_is_no_law_of_its_joints() -> None:
     assert without_parts(right, arm(free=False), alone) is right
     gain = said("torque_gain", left=1e-4)
     assert without_parts(gain, arm(free=False), alone) is gain, "it leaves nothing: it is right"
+    two = replace(gain, findings=(*gain.findings, SimpleNamespace(effect="inertia", joint=1)))
+    assert without_parts(two, arm(free=False), freed).findings == (), "two laws of one joint"
+    assert without_parts(two, arm(free=False), lambda _: two) is two
     body = without_parts(wrong, arm(free=False), freed)
     assert body.verdict == "unexplained" and body.findings == ()
     assert "joints 1 and 2 is a wrong body" in body.unexplained and "a1" in body.unexplained

@@ -131,9 +131,8 @@ def diagnose(
             from zendsp.diagnosis.external.roads import diagnose_called
 
             sources = _sources(recordings), _sources(heldout)
-            return diagnose_called(sources, given, jobs, tell, partial(
-                _diagnose, seed=seed, jobs=jobs, tell=tell, so_far=so_far
-            ))  # fmt: skip
+            once = partial(_diagnose, seed=seed, jobs=jobs, tell=tell, so_far=so_far)
+            return diagnose_called(sources, given, jobs, tell, so_far, once)
         return _diagnose(
             (_sources(recordings), _sources(heldout)), given, seed, jobs, tell, so_far
         )

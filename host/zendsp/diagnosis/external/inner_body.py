@@ -28,13 +28,24 @@ WITHDRAWN = (
 )
 
 
-def parts_of_a_body(d: Diagnosis) -> list[Finding]:
-    """The findings that may be a joint's part of a wrong body: they leave at their joint what
-    depends on its state, beyond the interval of the discrepancy.
+def like_parts(d: Diagnosis) -> list[Finding]:
+    """The findings that may be a joint's part of a wrong body."""
+    alike = like_bodies() | {"inertia", "coupling"}
+    return [f for f in d.findings if f.effect in alike]
+
+
+def incomplete_parts(d: Diagnosis) -> list[Finding]:
+    """Those that leave at their joint what depends on its state, beyond the interval of the
+    discrepancy.
     """
     left = {x.joint for x in d.discrepancy if x.interval[0] > OF_STATE}
-    alike = like_bodies() | {"inertia", "coupling"}
-    return [f for f in d.findings if f.effect in alike and f.joint in left]
+    return [f for f in like_parts(d) if f.joint in left]
+
+
+def _may_be_a_body(d: Diagnosis) -> bool:
+    """Whether laws of joints leave something, or one joint has several of them."""
+    joints = [f.joint for f in like_parts(d)]
+    return bool(incomplete_parts(d)) or len(set(joints)) < len(joints)
 
 
 def without_parts(
@@ -49,21 +60,22 @@ def without_parts(
     diagnose : callable
         Diagnoses with another given model.
     """
-    parts = parts_of_a_body(d)
-    if given.joints < 2 or not parts:
+    if given.joints < 2 or not _may_be_a_body(d):
         return d
-    joints = listed({f.joint for f in parts})
     held = [k for k, q in given.mechanism.items() if q[0].value and not q[0].free]
     if held:
         again = diagnose(freed(given))
-        if len(again.findings) < len(d.findings) and not parts_of_a_body(again):
+        if len(again.findings) < len(d.findings) and not _may_be_a_body(again):
             rest = "less is left" if again.findings or again.unexplained else "nothing is left"
+            joints = listed({f.joint for f in like_parts(d)})
             said = FREED.format(joints, ", ".join(held), rest)
             unexplained = "\n".join(line for line in (said, again.unexplained) if line)
             verdict = Verdict.MISSING if again.findings else Verdict.UNEXPLAINED
             return replace(again, verdict=verdict, unexplained=unexplained)
-    if len(parts) < len(d.findings):
+    parts = incomplete_parts(d)
+    if not parts or len(parts) < len(d.findings):
         return d
+    joints = listed({f.joint for f in parts})
     names = ", ".join(dict.fromkeys(f.effect for f in parts))
     said = "\n".join(line for line in (WITHDRAWN.format(joints, names), d.unexplained) if line)
     return replace(

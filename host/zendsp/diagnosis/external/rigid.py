@@ -33,22 +33,28 @@ from zendsp.physics.robots.rigid import Basis
 
 Array = npt.NDArray[np.float64]
 
-ROWS = 2  # simulated from each state: the fewest with a second difference
+ROWS_EACH = 2  # simulated from each state: the fewest with a second difference
 # s that one simulation passes along the motion, where its torque is all but constant. With 16 ms
 # its speed went astray by as much as a Coulomb friction of 0.05 % of the torque, which was claimed
-PASSES = 0.004
-APART = 0.25  # rad of the motion's mean frequency: states between which splines do
-POSES = (0.005, 0.06)  # s: between them, at least and at most
+PASSED = 0.004
+# rad of the motion's mean frequency between states that splines join: an arm of two joints at 2 Hz
+# then had its torque within 0.03 %
+STATES_APART = 0.25
+STATE_TIMES = (0.005, 0.06)  # s: between them, at least and at most
 SLOW, FEWER = 5e-3, 3  # s for a state of a simulator; one that needs longer is asked at a third
-PUSH = 0.5  # of the RMS torque
-STEP = 1e-3  # of a free number
-AGREE = 0.02  # of the answer to a push: more, and twice the push does something else
-AT_A_TIME = 500  # simulations between two looks at Ctrl-C
-PROBES = 48  # states at which a simulator is asked whether it is a rigid body
-RIGID_SHARE = 0.7  # of these at which it must be
-BENT = 1e-3  # of a joint's torque: the derivatives of the torque are no longer those
-TURNS = 0.1  # of the speed: slower is a reversal
-FELT = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
+# of the RMS torque; and of a free number. Torques were linear in both, to all digits that matter
+PUSHED, NUMBER_STEP = 0.5, 1e-3
+# of the answer to a push: rigid bodies differ by up to 0.4 % from themselves after twice the push,
+# or started anew; one behind a lag of 2 ms by 8 %
+AGREES = 0.02
+RIGID_SHARE = 0.7  # of the states at which it must be: one with friction of its own may stick
+ASKED_AT_ONCE = 500  # simulations between two looks at Ctrl-C
+STATES_ASKED = 48  # at which a simulator is asked whether it is a rigid body
+# of a joint's torque: the derivatives by the numbers are no longer those. An arm that is linear in
+# its numbers is off by 1e-4, one by masses and lengths that are off by a tenth, by 3e-2
+BENT = 1e-3
+REVERSES = 0.1  # of the speed: slower is a reversal
+NOT_ITS_OWN = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
 MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
 
 
@@ -213,13 +219,13 @@ class Called:
     def _feels(self, key: str, j: int, change: Array, torque: Array) -> bool:
         """Whether a joint (from 0) feels a number: the same in all recordings."""
         felt = abs(self.about[key]) * np.sqrt(np.mean(change**2))
-        least = FELT * np.sqrt(np.mean(torque**2))
+        least = NOT_ITS_OWN * np.sqrt(np.mean(torque**2))
         return self.feels.setdefault((key, j), bool(felt > least))
 
     @property
     def _run(self) -> int:
         """Rows that one simulation passes along the motion."""
-        return max(1, round(PASSES / self.sample_time))
+        return max(1, round(PASSED / self.sample_time))
 
     def _needed(self, states: int) -> int:
         """Simulations for so many states."""
@@ -229,9 +235,10 @@ class Called:
     def _every(self, motion: State) -> int:
         """Rows between the states at which the mass matrix is asked for: fewer in a fast motion."""
         speed, change = (np.sqrt(np.mean(x**2, axis=0)) for x in (motion.qd, motion.qdd))
-        apart = APART * float(np.min(speed / np.maximum(change, 1e-300)))
-        apart = min(max(apart, POSES[0]), POSES[1]) * (FEWER if self.seconds > SLOW else 1)
-        return max(1, round(apart / self.sample_time))
+        apart = STATES_APART * float(np.min(speed / np.maximum(change, 1e-300)))
+        apart = min(max(apart, STATE_TIMES[0]), STATE_TIMES[1])
+        slow = FEWER if self.seconds > SLOW else 1
+        return max(1, round(slow * apart / self.sample_time))
 
     def _near(self, at: State) -> Near:
         """What the simulator is in some states."""
@@ -261,7 +268,7 @@ class Called:
             base = self.accelerations(at, torque, numbers)
         answers = []
         for j in range(self.joints):
-            more, push = torque.copy(), PUSH * self.torque[j]
+            more, push = torque.copy(), PUSHED * self.torque[j]
             more[:, j] += push
             pushed = at if gives is None else replace(at, qdd=at.qdd + push * gives[:, :, j])
             answers.append((self.accelerations(pushed, more, numbers) - base) / push)
@@ -270,7 +277,7 @@ class Called:
 
     def _slope(self, near: Near, j: int) -> Array:
         """Change of a joint's torque with its own position at the same motion, (n,)."""
-        off = STEP * max(float(np.ptp(near.at.q[:, j])), 1e-6)
+        off = NUMBER_STEP * max(float(np.ptp(near.at.q[:, j])), 1e-6)
         q = near.at.q.copy()
         q[:, j] += off
         there = self.accelerations(replace(near.at, q=q), near.torque, self.numbers())
@@ -282,10 +289,10 @@ class Called:
         (n, joints) by a free number.
         """
         at, torque = near.at, near.torque
-        step = STEP * abs(self.about[key])
+        step = NUMBER_STEP * abs(self.about[key])
         numbers = self.numbers(**{key: self.about[key] + step})
         if key not in self.in_mass:
-            some = np.unique(np.linspace(0, len(at) - 1, PROBES).astype(int))
+            some = np.unique(np.linspace(0, len(at) - 1, STATES_ASKED).astype(int))
             change = self._body(at.at(some), torque[some], numbers)[0] - near.plain[some]
             self.in_mass[key] = bool(np.abs(change).max() > MOVES_MASS * np.abs(near.mass).max())
         if self.in_mass[key]:
@@ -325,7 +332,7 @@ class Called:
         columns = [self.about[key] * x.T.ravel() for key, x in moved.items()]
         for j in range(self.joints):
             q, qd = near.at.q[:, j], near.at.qd[:, j]
-            slow = TURNS * float(np.std(qd)) + 1e-12
+            slow = REVERSES * float(np.std(qd)) + 1e-12
             for shape in (np.ones_like(q), q - q.mean(), qd, np.tanh(qd / slow)):
                 column = np.zeros_like(near.at.q)
                 column[:, j] = shape / max(float(np.std(shape)), 1.0)
@@ -370,7 +377,7 @@ class Called:
 
     def accelerations(self, at: State, torque: Array, numbers: Parameters) -> Array:
         """Acceleration in some states under a torque, (n, joints)."""
-        answer = self.simulated(at, torque, numbers, ROWS)
+        answer = self.simulated(at, torque, numbers, ROWS_EACH)
         return np.diff(answer, 2, axis=1)[:, 0] / self.sample_time**2
 
     def simulated(self, at: State, torque: Array, numbers: Parameters, rows: int) -> Array:
@@ -395,8 +402,8 @@ class Called:
         ]  # fmt: skip
         parts: list[Array] = []
         began = time.perf_counter()
-        for first in range(0, n, AT_A_TIME):
-            some = recordings[first : first + AT_A_TIME]
+        for first in range(0, n, ASKED_AT_ONCE):
+            some = recordings[first : first + ASKED_AT_ONCE]
             parts += self.simulator.run(some, numbers)
             self.calls += len(some)
             self._progress()
@@ -446,7 +453,7 @@ def _times(mass: Array, x: Array) -> Array:
 def _alike(one: Array, other: Array) -> npt.NDArray[np.bool_]:
     """Where mass matrices agree, (n,): not where a joint sticks, or a command is cut."""
     size = np.abs(one).max(axis=(1, 2))
-    return np.asarray(np.abs(other - one).max(axis=(1, 2)) < AGREE * size)
+    return np.asarray(np.abs(other - one).max(axis=(1, 2)) < AGREES * size)
 
 
 def _between(at: npt.NDArray[np.int64], values: Array, rows: npt.NDArray[np.int64]) -> Array:

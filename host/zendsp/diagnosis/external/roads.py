@@ -20,6 +20,11 @@ from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import kernel_model
 
+ENDED_ANEW = (
+    "Ctrl-C ended the diagnosis when it had begun once more; a wrong body inside the simulator was"
+    " not asked for"
+)
+
 Sources = tuple[Sequence[Any], Sequence[Any]]
 
 
@@ -28,6 +33,7 @@ def diagnose_called(
     given: Model,
     jobs: int,
     tell: Progress,
+    so_far: bool,
     diagnose: Callable[[Sources, Model], Diagnosis],
 ) -> Diagnosis:
     """Find the physics that a user's own simulator leaves out.
@@ -40,6 +46,8 @@ def diagnose_called(
         Of ``kind = "python"`` or ``"fmu"``.
     jobs : int
         Processes of an FMU; a Python function is called in one thread.
+    so_far : bool
+        After Ctrl-C, return what was found until then, if anything.
     diagnose : callable
         The diagnosis of machines whose rigid body is known.
     """
@@ -51,25 +59,37 @@ def diagnose_called(
             return diagnose_simulator(
                 sources[0], kernel_model(given), sources[1], simulator, progress=tell
             )
-        def asked(model: Model) -> Diagnosis:
-            called.begin(model)
-            return _straight(called, lambda: diagnose(sources, replace(model, called=called)))
-
-        found = without_parts(asked(called.model), called.model, asked)
+        found = _found(called, so_far, lambda m: diagnose(sources, replace(m, called=called)))
         return _without_simulator(found, called, given)
     finally:
         simulator.close()
 
 
-def _straight(called: Called, diagnose: Callable[[], Diagnosis]) -> Diagnosis:
-    """The diagnosis; once more about the numbers that were found, where torques are not linear."""
-    found = diagnose()
-    values = {k: q[0].value for k, q in found.improved.mechanism.items()}
-    if found.stopped or not called.free or called.bent(values) < BENT:
-        return found
-    called.tell(Step.ANEW.says("once more, about the numbers that were found"))
-    called.move_to({k: values[k] for k in called.free})
-    return diagnose()
+def _found(
+    called: Called, so_far: bool, diagnose: Callable[[Model], Diagnosis]
+) -> Diagnosis:
+    """The diagnosis: made once more about the numbers that were found, where torques are not
+    linear, and with all numbers free, where laws of joints may be parts of a body.
+    """
+
+    def straight(model: Model) -> Diagnosis:
+        called.begin(model)
+        found = diagnose(model)
+        values = {k: q[0].value for k, q in found.improved.mechanism.items()}
+        if found.stopped or not called.free or called.bent(values) < BENT:
+            return found
+        called.tell(Step.ANEW.says("once more, about the numbers that were found"))
+        called.move_to({k: values[k] for k in called.free})
+        return diagnose(model)
+
+    given = called.model
+    first = straight(given)
+    try:
+        return first if first.stopped else without_parts(first, given, straight)
+    except KeyboardInterrupt:
+        if not so_far:
+            raise
+        return replace(first, stopped=True, notes=(ENDED_ANEW, *first.notes))
 
 
 def _without_simulator(d: Diagnosis, called: Called, given: Model) -> Diagnosis:
