@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
-from zendsp.diagnosis.decide.propose import propose
+from zendsp.diagnosis.decide.propose import experiment_of, propose
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import (
@@ -100,8 +101,8 @@ def diagnose(
         Receives a sentence at each stage.
     so_far : bool
         After Ctrl-C return what was found at the finished joints, if any; also when only steps
-        after the search were left. A second Ctrl-C ends that too. For a black-box simulator nothing
-        is kept.
+        after the search were left. A second Ctrl-C ends that too. For a simulator that is compared
+        by its output nothing is kept.
 
     Returns
     -------
@@ -127,12 +128,11 @@ def diagnose(
     with threadpool_limits(limits=1):
         given = _as_model(model)
         if given.kind in CALLED:
-            from zendsp.diagnosis.external.blackbox import diagnose_simulator
+            from zendsp.diagnosis.external.roads import diagnose_called
 
-            return diagnose_simulator(
-                _sources(recordings), kernel_model(given), _sources(heldout), jobs=jobs,
-                progress=tell,
-            )
+            sources = _sources(recordings), _sources(heldout)
+            once = partial(_diagnose, seed=seed, jobs=jobs, tell=tell, so_far=so_far)
+            return diagnose_called(sources, given, jobs, tell, so_far, once)
         return _diagnose(
             (_sources(recordings), _sources(heldout)), given, seed, jobs, tell, so_far
         )
@@ -247,6 +247,8 @@ def _look_on(
     seen = detectable(found.parts, given, found.decisions, jobs)
     decisions = blind(found.decisions, seen)
     tell(Step.LOOKING_ON.says("proposing the next recording"))
+    if given.called is not None:
+        return _Looked(decisions, seen, experiment_of(findings))
     proposal = propose(fit, given, found.searches, findings, decisions, seed)
     return _Looked(decisions, seen, proposal)
 
@@ -322,7 +324,8 @@ def _ready(
     parts = Parts(fit, choose, choose if choose_signals is test_signals else test)
     names = [s.name for s in (*fit_signals, *choose_signals, *test_signals)]
     everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
-    notes += check_motion(everything, given, names)
+    if given.called is None:
+        notes += check_motion(everything, given, names)
     notes += check_excitation(fit)
     return (fit_signals, choose_signals, test_signals), parts, notes
 

@@ -233,6 +233,8 @@ class Model:
         "rotary" or "linear" a joint; empty where ``kind`` says it.
     folder : Path
         From which ``file`` and ``entry`` are looked for.
+    called : object
+        Of a simulator that is a rigid body: what answers for it (``diagnosis/external/rigid.py``).
     """
 
     name: str
@@ -252,6 +254,7 @@ class Model:
     folder: Path = Path(".")
     robot: Robot = Robot()
     fmu: FmuPorts = FmuPorts()
+    called: Any = field(default=None, compare=False, repr=False)
 
     def __repr__(self) -> str:
         """One line; `zendsp.physics.model_text` writes the whole file."""

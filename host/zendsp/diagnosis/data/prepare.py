@@ -126,14 +126,16 @@ def _accelerations(s: Signals, model: Model) -> Array:
     """
     joints = range(1, s.position.shape[1] + 1)
     torque = s.command * [per_joint(model.actuator.gain, j, 1.0) for j in joints]
-    if model.kind not in TREES:
+    if model.kind not in TREES and model.called is None:
         return (torque / [_inertia(model, j) for j in joints])[:, :, np.newaxis]
-    bodies, _ = recorded_tree(model, len(joints))
     rows = np.arange(len(torque))
     late = model.actuator.delay / s.sample_time
     torque = np.stack([np.interp(rows - late, rows, row) for row in torque.T], axis=1)
     every = max(1, round(POSES / s.sample_time))
-    masses = mass_matrices(bodies, s.position[::every])
+    if model.called is not None:
+        masses = model.called.masses(s.position[::every])
+    else:
+        masses = mass_matrices(recorded_tree(model, len(joints))[0], s.position[::every])
     masses += np.diag([added_inertia(model, j) for j in joints])
     inverse = np.linalg.pinv(masses, hermitian=True)[rows // every]
     own = np.einsum("nii,ni->ni", inverse, torque)

@@ -293,3 +293,17 @@ def _separation(
         )
 
     return unlikely(rival.scored.model) - unlikely(truth)
+
+
+def experiment_of(findings: Sequence[Finding]) -> Next | None:
+    """The recording that would separate the first finding with rivals from them; None where no
+    finding has any.
+    """
+    open_ones = [f for f in findings if f.indistinguishable]
+    if not open_ones:
+        return None
+    f = open_ones[0]
+    return Next(
+        f"To separate {f.effect} from {', '.join(f.indistinguishable)} on joint {f.joint}:"
+        f" {get_effect(f.effect).experiment}",
+    )

@@ -27,6 +27,7 @@ from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.contract import Rejected, Verdict, contradicted
 from zendsp.diagnosis.decide.near import only_in_the_fit
+from zendsp.diagnosis.decide.propose import experiment_of
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, SimulatorErrors
 from zendsp.diagnosis.decide.thresholds import LEFT_BY_A_LAW
 from zendsp.diagnosis.external.hunt import (
@@ -35,7 +36,6 @@ from zendsp.diagnosis.external.hunt import (
     findings_of,
     indistinct,
     judged_again,
-    next_of,
 )
 from zendsp.diagnosis.external.nearby import Near, settled, spread_over
 from zendsp.diagnosis.external.output_error import (
@@ -45,7 +45,7 @@ from zendsp.diagnosis.external.output_error import (
     sensor_noise,
     weights,
 )
-from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
+from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input
 from zendsp.diagnosis.measure.where import Missing, located, units
 from zendsp.diagnosis.progress import Progress, Said, Step
 from zendsp.physics.calibration.fit import Fit
@@ -128,8 +128,8 @@ def diagnose_simulator(
     sources: Sequence[Any],
     model: Model,
     heldout: Sequence[Any],
+    simulator: Simulator,
     *,
-    jobs: int = 1,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find the physics that a user's own simulator leaves out.
@@ -141,8 +141,8 @@ def diagnose_simulator(
     model : Model
         Of ``kind = "python"`` or ``"fmu"``; its mechanism parameters go to the simulator, its
         effects act on the command.
-    jobs : int
-        Processes of an FMU; a Python function is called in one thread.
+    simulator : Simulator
+        Of the model.
     progress : callable, optional
         Receives a sentence at each stage.
 
@@ -151,11 +151,7 @@ def diagnose_simulator(
     RecordingError, ModelError
         Unusable input, or a simulator that fails.
     """
-    simulator = simulator_of(model, jobs)
-    try:
-        return _diagnose(sources, model, heldout, simulator, progress or (lambda _text: None))
-    finally:
-        simulator.close()
+    return _diagnose(sources, model, heldout, simulator, progress or (lambda _text: None))
 
 
 def _diagnose(
@@ -207,7 +203,7 @@ def _diagnose(
         heldout=FitTable(_rms(test, model), _rms(test, base.model), rest),
         noise_floor=floor,
         rejected=rejected,
-        next_recording=next_of(findings),
+        next_recording=experiment_of(findings),
         seconds=time.perf_counter() - begin,
         notes=(*notes, _untried(train, test), *moved(model, improved)),
         given=file_model(model),

@@ -286,10 +286,12 @@ class _Instance:
         self.fresh = False
         if not self.three:
             s.setupExperiment(startTime=0.0)
-        for name, reference in p.parameters.items():
-            self._set([reference], np.atleast_1d(parameters[name]))
-        self._set(p.start_position, np.atleast_1d(recording["position"][0]))
-        self._set(p.start_velocity, np.atleast_1d(recording["velocity"][0]))
+        begin = {k: np.atleast_1d(recording[k][0]) for k in ("position", "velocity")}
+        numbers = [*(np.atleast_1d(parameters[name])[0] for name in p.parameters)]
+        numbers += [*begin["position"]] if p.start_position else []
+        numbers += [*begin["velocity"]] if p.start_velocity else []
+        # at once: each call of an FMU's costs as much as a row of a small one
+        self._set((*p.parameters.values(), *p.start_position, *p.start_velocity), numbers)
         if self.three:
             s.enterInitializationMode(startTime=0.0)
         else:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.decide.findings import estimates, new_terms, sentence
-from zendsp.diagnosis.decide.result import Finding, Next, not_likelier
+from zendsp.diagnosis.decide.result import Finding, not_likelier
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
 from zendsp.diagnosis.external.nearby import Near, settled
 from zendsp.diagnosis.external.output_error import (
@@ -358,17 +358,3 @@ def findings_of(
             )
         )
     return tuple(out), {(f.effect, f.joint) for f in out}
-
-
-def next_of(findings: Sequence[Finding]) -> Next | None:
-    """The recording that would separate the first finding with rivals from them; None where no
-    finding has any.
-    """
-    open_ones = [f for f in findings if f.indistinguishable]
-    if not open_ones:
-        return None
-    f = open_ones[0]
-    return Next(
-        f"To separate {f.effect} from {', '.join(f.indistinguishable)} on joint {f.joint}:"
-        f" {get_effect(f.effect).experiment}",
-    )

@@ -177,7 +177,7 @@ class JointRecord:
                     variances=np.ascontiguousarray(self.motion.variances[:, some]),
                 ),
                 basis={
-                    key: Basis(means(b.inertia, every), means(b.bias, every))
+                    key: b.each(lambda series: means(series, every))
                     for key, b in self.basis.items()
                 },
                 others=means(self.others, every),
@@ -216,7 +216,7 @@ class JointRecord:
                     states=cut(self.motion.states),
                     variances=cut(self.motion.variances),
                 ),
-                basis={k: Basis(cut(b.inertia), cut(b.bias)) for k, b in self.basis.items()},
+                basis={k: b.each(cut) for k, b in self.basis.items()},
                 others=cut(self.others),
                 position=cut(self.position),
                 columns={key: cut(column) for key, column in self.columns.items()},
@@ -274,6 +274,10 @@ class JointRecord:
         load whose position differs from its motor's.
         """
         if self._slope is None:
+            own = self.basis["fixed"].slope if "fixed" in self.basis else None
+            if own is not None:
+                self._slope = own
+                return own
             values = {key: mechanism_value(model, key, self.joint) for key in self.basis}
             slope = bias_slope(model, list(self.others), self.joint, values)
             self._slope = np.ascontiguousarray(slope)
@@ -281,8 +285,10 @@ class JointRecord:
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:
         """Inertia that motor and load share, kg m^2 or kg: the part common to all poses, or the
-        mean for a URDF.
+        mean for a URDF or a simulator.
         """
+        if model.called is not None:
+            return float(np.mean(inertia))
         constant = [key for key in self.basis if key not in ("fixed", "p3")]
         if not constant:
             return float(np.mean(inertia))

@@ -8,7 +8,7 @@ tau_i. Both are linear in the parameters of the mechanism.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,6 +35,12 @@ class Basis:
 
     inertia: Array
     bias: Array
+    slope: Array | None = None  # of a simulator: of its whole torque, by the joint's own position
+
+    def each(self, change: Callable[[Array], Array]) -> Basis:
+        """The coefficients after a change of each series."""
+        slope = None if self.slope is None else change(self.slope)
+        return Basis(change(self.inertia), change(self.bias), slope)
 
     @cached_property
     def acts(self) -> tuple[bool, bool]:
@@ -56,6 +62,8 @@ def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
         Key: parameter name, ``"fixed"`` for what no parameter scales. Gravity of rotary joints is
         not in here: the simulation evaluates it on the predicted position.
     """
+    if model.called is not None:
+        return list(model.called.bases(motion))
     n = motion[0].shape[1]
     one, zero = np.ones(n), np.zeros(n)
     if model.kind == "rotary":

@@ -1,0 +1,98 @@
+"""A wrong body inside a simulator (a payload, a link of another mass).
+
+It acts on all joints together. A simulator that can only be called has no links to which one could
+be added, so that each joint explains its part by a law of its own: a torque gain, an inertia, a
+gravity, which leaves something. A law that is right leaves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from zendsp.diagnosis.decide.contract import Verdict, listed
+from zendsp.diagnosis.decide.decide_bodies import like_bodies
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable
+from zendsp.diagnosis.decide.thresholds import OF_STATE
+from zendsp.physics.model import Model
+
+FREED = (
+    "What is missing at {} is a wrong body inside the simulator (a payload, or a link of another"
+    " mass or length): with its numbers {} free, which the model file holds, {}"
+)
+WITHDRAWN = (
+    "What is missing at {} ({}) may be parts of a wrong body inside the simulator (a payload, or a"
+    " link of another mass): no law of a joint explains it. A body cannot be tried on a simulator"
+    " that can only be called: give its masses as [mechanism.parameters], or the machine as URDF or"
+    " MJCF"
+)
+
+
+def like_parts(d: Diagnosis) -> list[Finding]:
+    """The findings that may be a joint's part of a wrong body."""
+    alike = like_bodies() | {"inertia", "coupling"}
+    return [f for f in d.findings if f.effect in alike]
+
+
+def incomplete_parts(d: Diagnosis) -> list[Finding]:
+    """Those that leave at their joint what depends on its state, beyond the interval of the
+    discrepancy.
+    """
+    left = {x.joint for x in d.discrepancy if x.interval[0] > OF_STATE}
+    return [f for f in like_parts(d) if f.joint in left]
+
+
+def _may_be_a_body(d: Diagnosis) -> bool:
+    """Whether laws of joints leave something, or one joint has several of them."""
+    joints = [f.joint for f in like_parts(d)]
+    return bool(incomplete_parts(d)) or len(set(joints)) < len(joints)
+
+
+def without_parts(
+    d: Diagnosis, given: Model, diagnose: Callable[[Model], Diagnosis]
+) -> Diagnosis:
+    """The diagnosis without laws that are each a part of a wrong body inside the simulator.
+
+    Parameters
+    ----------
+    given : Model
+        Of several joints.
+    diagnose : callable
+        Diagnoses with another given model.
+    """
+    if given.joints < 2 or not _may_be_a_body(d):
+        return d
+    held = [k for k, q in given.mechanism.items() if q[0].value and not q[0].free]
+    if held:
+        again = diagnose(freed(given))
+        if len(again.findings) < len(d.findings) and not _may_be_a_body(again):
+            rest = "less is left" if again.findings or again.unexplained else "nothing is left"
+            joints = listed({f.joint for f in like_parts(d)})
+            said = FREED.format(joints, ", ".join(held), rest)
+            unexplained = "\n".join(line for line in (said, again.unexplained) if line)
+            verdict = Verdict.MISSING if again.findings else Verdict.UNEXPLAINED
+            return replace(again, verdict=verdict, unexplained=unexplained)
+    parts = incomplete_parts(d)
+    if not parts or len(parts) < len(d.findings):
+        return d
+    joints = listed({f.joint for f in parts})
+    names = ", ".join(dict.fromkeys(f.effect for f in parts))
+    said = "\n".join(line for line in (WITHDRAWN.format(joints, names), d.unexplained) if line)
+    return replace(
+        d, verdict=Verdict.UNEXPLAINED, findings=(), improved=d.calibrated, unexplained=said,
+        estimation=_calibrated(d.estimation), heldout=_calibrated(d.heldout),
+        test=None if d.test is None else _calibrated(d.test), next_recording=None,
+    )  # fmt: skip
+
+
+def _calibrated(table: FitTable) -> FitTable:
+    """The errors where nothing is claimed."""
+    return replace(table, improved=table.calibrated)
+
+
+def freed(model: Model) -> Model:
+    """The model with all its numbers free."""
+    mechanism = {
+        key: tuple(replace(q, free=True) for q in items) for key, items in model.mechanism.items()
+    }
+    return replace(model, mechanism=mechanism)

@@ -1,0 +1,135 @@
+"""Whether a simulator is a rigid body: it starts where it is told, accelerates in proportion to a
+torque, and has no memory but position and speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.regression import look
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.external.numbers import expanded
+from zendsp.diagnosis.external.rigid import (
+    AGREES,
+    BENT,
+    PUSHED,
+    RIGID_SHARE,
+    ROWS_EACH,
+    STATES_ASKED,
+    Called,
+    State,
+)
+from zendsp.diagnosis.external.simulator import Simulator
+from zendsp.diagnosis.progress import Progress
+from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth
+from zendsp.physics.model import Model, per_joint
+
+Array = npt.NDArray[np.float64]
+
+STARTS_AT = 1e-6  # of the range: a simulator begins this near to where it is told
+SPEED_AT = 0.1  # of the speed: and as near to the speed
+ANEW_AFTER = 0.02  # s: after which it is started anew from where it is
+NUMBERS_TRIED = 0.1  # of the numbers: whether the torque is linear in them
+STATES_FITTED = 300  # states to which numbers are fitted roughly
+FITS = 2  # the second about the numbers of the first
+
+def rigid(
+    signals: Sequence[Signals], model: Model, simulator: Simulator, tell: Progress
+) -> Called | None:
+    """A simulator as a rigid body; None where it is none, or does not start where it is told."""
+    s = signals[0]
+    joints = range(s.position.shape[1])
+    gains = np.array([per_joint(model.actuator.gain, j + 1, 1.0) for j in joints])
+    effort = np.sqrt(np.mean(np.concatenate([x.command for x in signals]) ** 2, axis=0))
+    if not np.all(effort > 0):
+        return None
+    states = _states(s)
+    some = _spread(states, STATES_ASKED)
+    names = expanded(model)
+    values = {k: q[0].value for k, q in names.mechanism.items()}
+    torque = np.abs(gains) * effort
+    called = Called(names, simulator, s.sample_time, torque, states.at(some), values, tell)
+    if not _is_rigid(called, called.probe, gains * s.command[some]):
+        return None
+    _straighten(called, s, gains)
+    return called
+
+
+def _spread(states: State, count: int) -> npt.NDArray[np.int64]:
+    """Rows spread over a motion."""
+    n = len(states)
+    return np.unique(np.linspace(0.02 * n, 0.98 * n - 1, count).astype(np.int64))
+
+
+def _straighten(called: Called, s: Signals, gains: Array) -> None:
+    """Take torques as linear about numbers near those of the machine, where they are not linear."""
+    ways = np.resize([1.0 + NUMBERS_TRIED, 1.0 - NUMBERS_TRIED], len(called.free))
+    other = {k: w * called.about[k] for k, w in zip(called.free, ways, strict=True)}
+    if not called.free or called.bent(other) < BENT:
+        return
+    noise = [
+        noise_beside_quantisation(y, float(r))
+        for y, r in zip(s.position.T, s.resolution, strict=True)
+    ]
+    slow = look(s.position.T, s.command.T, s.sample_time, np.array(noise))
+    state = State(slow.q.T, slow.qd.T, slow.qdd.T)
+    some = _spread(state, STATES_FITTED)
+    for _ in range(FITS):
+        called.move_to(called.calibrated(state.at(some), gains * slow.command.T[some]))
+
+
+def _is_rigid(called: Called, at: State, torque: Array) -> bool:
+    """Whether the simulator is a rigid body at most of some states, under the torques there."""
+    late = max(ROWS_EACH + 2, round(ANEW_AFTER / called.sample_time))
+    base = called.simulated(at, torque, called.numbers(), late)
+    if not _starts(called, at, base):
+        return False
+    good = np.ones(len(at), dtype=bool)
+    for j in range(called.joints):
+        ways = []
+        for times in (1.0, 2.0):
+            more = torque.copy()
+            more[:, j] += times * PUSHED * called.torque[j]
+            ways.append((more, called.simulated(at, more, called.numbers(), late)))
+        (push, once), (_, twice) = ways
+        answers = [np.diff(w[:, :3] - base[:, :3], 2, axis=1)[:, 0] for w in (once, twice)]
+        size = np.abs(answers[0]).max(axis=1)
+        off = np.abs(answers[0] - 0.5 * answers[1]).max(axis=1)
+        good &= (size > 0) & (off < AGREES * size)
+        good &= _forgets(called, push, once) < AGREES * size / called.sample_time**2
+    return bool(np.mean(good) >= RIGID_SHARE)
+
+
+def _forgets(called: Called, torque: Array, way: Array) -> Array:
+    """The largest difference of the accelerations at the end of a simulation (n, rows, joints) from
+    those of one that starts there, (n,). A lag, a delay or a spring inside remembers more.
+    """
+    h = called.sample_time
+    q, speed = way[:, -2], (way[:, -1] - way[:, -3]) / (2.0 * h)
+    change = np.diff(way[:, -3:], 2, axis=1)[:, 0] / h**2
+    anew = called.accelerations(State(q, speed, change), torque, called.numbers())
+    return np.asarray(np.abs(anew - change).max(axis=1))
+
+
+def _starts(called: Called, at: State, answer: Array) -> bool:
+    """Whether simulations start at the position and the speed that they are told."""
+    h = called.sample_time
+    begun = at.q - at.qd * h + 0.5 * at.qdd * h**2
+    span, speed = np.ptp(at.q, axis=0).max(), np.sqrt(np.mean(at.qd**2, axis=0))
+    off = np.sqrt(np.mean(((answer[:, 1] - answer[:, 0]) / h - at.qd) ** 2, axis=0))
+    there = np.abs(answer[:, 0] - begun).max() <= STARTS_AT * span
+    return bool(there and np.all(off <= SPEED_AT * speed))
+
+
+def _states(s: Signals) -> State:
+    """The smoothed motion of a recording."""
+    states = []
+    for j in range(s.position.shape[1]):
+        y = np.ascontiguousarray(s.position[:, j])
+        resolution = float(s.resolution[j])
+        seen = measure(y, s.sample_time, resolution, noise_beside_quantisation(y, resolution))
+        states.append(smooth(seen, s.sample_time).states)
+    return State(*np.ascontiguousarray(np.stack(states).transpose(1, 2, 0)))

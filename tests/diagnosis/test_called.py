@@ -1,0 +1,296 @@
+"""A simulator that can only be called, diagnosed as the rigid body that it is."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import reality
+from test_simulator import OWN, files
+
+from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.data.split import read_divided
+from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.result import FitTable, Left
+from zendsp.diagnosis.external.columns import Columns, Parameters
+from zendsp.diagnosis.external.inner_body import without_parts
+from zendsp.diagnosis.external.numbers import as_given, expanded, folded
+from zendsp.diagnosis.external.rigid import BENT, Called, State
+from zendsp.diagnosis.external.rigid_check import rigid
+from zendsp.errors import ModelError
+from zendsp.physics import load_model
+from zendsp.physics.model import Model, Quantity
+
+Array = np.ndarray[Any, Any]
+H = 0.001
+ARM = {"a1": 0.035, "a2": 0.0075, "a3": 0.009, "g1": 2.2, "g2": 0.6, "b": 0.05}
+
+
+def body(p: Mapping[str, float], q: Array, qd: Array) -> tuple[Array, Array]:
+    """Mass matrices and torque without acceleration of a planar arm, as textbooks have them."""
+    c, s = np.cos(q[..., 1]), np.sin(q[..., 1])
+    m12 = p["a2"] + p["a3"] * c
+    mass = np.stack([np.stack([p["a1"] + 2 * p["a3"] * c, m12], -1),
+                     np.stack([m12, np.full_like(c, p["a2"])], -1)], -2)  # fmt: skip
+    pull = p["g2"] * np.sin(q.sum(-1))
+    turn = p["a3"] * s
+    rest = np.stack(
+        [-turn * (2 * qd[..., 0] * qd[..., 1] + qd[..., 1] ** 2) + p["g1"] * np.sin(q[..., 0])
+         + pull, turn * qd[..., 0] ** 2 + pull + p["b"] * qd[..., 1]], -1
+    )  # fmt: skip
+    return mass, rest
+
+
+class Arm:
+    """Runge-Kutta steps of a row each, all recordings at once."""
+
+    name = "an arm"
+
+    def run(self, recordings: Sequence[Columns], parameters: Parameters) -> list[Array]:
+        p = {k: float(v) for k, v in parameters.items() if not isinstance(v, list)}
+        q = np.stack([r["position"][0] for r in recordings])
+        v = np.stack([r["velocity"][0] for r in recordings])
+        u = np.stack([r["command"] for r in recordings], axis=1)
+
+        def rate(q: Array, v: Array, u: Array) -> Array:
+            mass, rest = body(p, q, v)
+            return np.linalg.solve(mass, (u - rest)[..., None])[..., 0]
+
+        out = []
+        for row in u:
+            out.append(q)
+            k1 = rate(q, v, row)
+            k2 = rate(q + H / 2 * v, v + H / 2 * k1, row)
+            k3 = rate(q + H / 2 * v + H**2 / 4 * k1, v + H / 2 * k2, row)
+            k4 = rate(q + H * v + H**2 / 2 * k2, v + H * k3, row)
+            q = q + H * v + H**2 / 6 * (k1 + k2 + k3)
+            v = v + H / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return list(np.stack(out, axis=1))
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def called(simulator: Any = None, numbers: Mapping[str, float] | None = None) -> Called:
+    values = dict(numbers or ARM)
+    model = Model("arm", H, "python", {k: (Quantity(v),) for k, v in values.items()})
+    probe = motion(400).at(np.arange(5, 395, 8))
+    return Called(model, simulator or Arm(), H, np.array([1.5, 0.5]), probe, values, lambda _: None)
+
+
+def motion(rows: int) -> State:
+    t = H * np.arange(rows)[:, None]
+    w, a = np.array([9.0, 14.0]), np.array([0.8, 0.9])
+    return State(a * np.sin(w * t + 1), a * w * np.cos(w * t + 1), -a * w**2 * np.sin(w * t + 1))
+
+
+def test_inertia_and_torque_of_a_simulator_are_those_of_its_equations() -> None:
+    state = motion(400)
+    found = called().bases(list(np.stack([state.q, state.qd, state.qdd]).transpose(2, 0, 1)))
+    mass, rest = body(ARM, state.q, state.qd)
+    torque = np.einsum("nij,nj->ni", mass, state.qdd) + rest
+    for j, basis in enumerate(found):
+        number = {k: 1.0 if k == "fixed" else ARM[k] for k in basis}
+        inertia = sum(number[k] * b.inertia for k, b in basis.items())
+        bias = sum(number[k] * b.bias for k, b in basis.items())
+        size = np.abs(torque[:, j]).max()
+            # second differences over three rows at up to 2 Hz and 12 rad/s
+        assert inertia == pytest.approx(mass[:, j, j], rel=1e-3)
+        assert inertia * state.qdd[:, j] + bias == pytest.approx(torque[:, j], abs=1e-3 * size)
+    # what a number does is what it multiplies; of another joint's it is not asked for
+    assert found[0]["g1"].bias == pytest.approx(np.sin(state.q[:, 0]), abs=1e-3)
+    assert found[1]["b"].bias == pytest.approx(state.qd[:, 1], abs=5e-3 * 0.9 * 14)
+    assert found[0]["a1"].inertia == pytest.approx(1.0, abs=1e-3)
+    assert "a1" not in found[1] and "g1" not in found[1] and "b" not in found[0]
+
+
+def test_numbers_in_which_a_torque_is_not_linear_are_noticed_and_fitted() -> None:
+    class Long(Arm):
+        """Its second number is a length, which acts by its square too."""
+
+        def run(self, recordings: Sequence[Columns], parameters: Parameters) -> list[Array]:
+            length = float(parameters["l"])  # type: ignore[arg-type]
+            arm = {**ARM, "a2": 0.0015 + 0.6 * length**2, "a3": 0.09 * length}
+            return super().run(recordings, arm)
+
+    assert called().bent({k: 1.1 * v for k, v in ARM.items()}) < BENT
+    simulator = called(Long(), {"l": 0.13})
+    assert simulator.bent({"l": 0.1}) > BENT
+    state = motion(1200).at(np.arange(5, 1195, 4))
+    mass, rest = body({**ARM, "a2": 0.0015 + 0.6 * 0.1**2, "a3": 0.009}, state.q, state.qd)
+    torque = np.einsum("nij,nj->ni", mass, state.qdd) + rest
+    for _ in range(2):
+        simulator.move_to(simulator.calibrated(state, torque))
+    assert simulator.about["l"] == pytest.approx(0.1, rel=0.02)
+
+
+def test_another_process_has_what_was_asked_and_asks_no_more() -> None:
+    copy = pickle.loads(pickle.dumps(called()))
+    with pytest.raises(ModelError, match="not in this process"):
+        copy.bases([np.zeros((3, 20)), np.zeros((3, 20))])
+
+
+def test_lists_of_numbers_reach_the_simulator_as_lists() -> None:
+    model = Model("m", H, "python", {"m": (Quantity(1.0), Quantity(2.0)), "l": (Quantity(3.0),)})
+    names = expanded(model)
+    assert list(names.mechanism) == ["m[1]", "m[2]", "l"]
+    values = {k: q[0].value for k, q in names.mechanism.items()}
+    assert folded(values) == {"m": [1.0, 2.0], "l": 3.0}
+    assert as_given(names) == model
+
+
+def test_a_wrong_rotor_is_one_finding(tmp_path: Path) -> None:
+    """It had been four."""
+    fixed = OWN.replace(" }", ", free = false }").replace("0.0102", "0.0085")
+    fixed = fixed.replace("0.206", "0.2").replace("0.0042", "0.004")
+    machine = reality.Machine(gravity=0.2, coulomb=0.0)
+    _, _, model = files(tmp_path, machine, parameters=fixed)
+    # the reality's own commands of 250 Hz come 47 us late
+    model.write_text(model.read_text().replace("0.004\n[mech", "0.001\n[mech"))
+    runs = [
+        reality.save(
+            tmp_path / f"fast{seed}.csv",
+            reality.simulate(machine, reality.multisine(5.0, 1000.0, seed), 1000.0),
+        )
+        for seed in (1, 2)
+    ]
+    d = diagnose(runs[0], model, runs[1], jobs=1)
+    assert [f.effect for f in d.findings] == ["inertia"], d.findings
+    amount = d.findings[0].parameters["amount"]
+    assert amount.value == pytest.approx(0.0015, rel=0.01)
+
+
+def test_a_spring_is_one_finding(tmp_path: Path) -> None:
+    """It had been gravity and a cubic spring."""
+    machine = reality.Machine(gravity=0.2, coulomb=0.0, spring=0.1)
+    train, test, model = files(tmp_path, machine)
+    d = diagnose(train, model, test, jobs=1)
+    assert [f.effect for f in d.findings] == ["stiffness"]
+    assert d.findings[0].parameters["coefficient"].value == pytest.approx(0.1, rel=0.05)
+
+
+class Wheel:
+    """A pendulum whose drive follows its command after ``lag`` seconds; ``rests``: whatever speed
+    it is told, it starts at rest.
+    """
+
+    name = "a wheel"
+
+    def __init__(self, lag: float, rests: bool) -> None:
+        self.lag, self.rests = lag, rests
+
+    def run(self, recordings: Sequence[Columns], parameters: Parameters) -> list[Array]:
+        return [self._one(r) for r in recordings]
+
+    def _one(self, r: Columns) -> Array:
+        q, v, f, way = float(r["position"][0]), float(r["velocity"][0]), 0.0, []
+        v = 0.0 if self.rests else v
+        h = r["sample_time"] / 4
+        for u in r["command"]:
+            way.append(q)
+            for _ in range(4):
+                f += (h / self.lag if self.lag else 1.0) * (float(u) - f)
+                v += h * (f - 0.2 * np.sin(q)) / 0.01
+                q += h * v
+        return np.array(way)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+@pytest.mark.parametrize(
+    ("lag", "rests", "body"), [(0.0, False, True), (0.02, False, False), (0.0, True, False)]
+)
+def test_what_answers_late_or_starts_elsewhere_is_no_rigid_body(
+    tmp_path: Path, lag: float, rests: bool, body: bool
+) -> None:
+    train, test, file = files(tmp_path, reality.Machine(gravity=0.2))
+    model = load_model(file)
+    signals = read_divided([train], [test], model)[0]
+    found = rigid(signals, model, Wheel(lag, rests), lambda _: None)
+    assert (found is not None) is body
+
+
+def test_progress_is_told_while_the_simulator_is_asked(tmp_path: Path) -> None:
+    train, test, model = files(tmp_path, reality.Machine(gravity=0.2, coulomb=0.0))
+    said: list[str] = []
+    d = diagnose(train, model, test, jobs=1, progress=said.append)
+    assert d.verdict == "complete" and d.improved.called is None and d.improved.kind == "python"
+    assert sum("█" in s or "░" in s for s in said) > 5
+    assert any("simulations of a few rows" in note for note in d.notes)
+
+
+def test_ctrl_c_reaches_a_diagnosis_that_asks_its_simulator(tmp_path: Path) -> None:
+    train, test, model = files(tmp_path, reality.Machine(gravity=0.2))
+
+    def stop(sentence: str) -> None:
+        if "states" in sentence:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        diagnose(train, model, test, jobs=1, progress=stop, so_far=True)
+
+
+TABLE = FitTable(3.0, 2.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Said:
+    """What of a diagnosis decides whether a body was taken for laws of joints."""
+
+    findings: tuple[Any, ...]
+    discrepancy: tuple[Left, ...]
+    verdict: Verdict = Verdict.MISSING
+    unexplained: str = ""
+    improved: str = "improved"
+    calibrated: str = "calibrated"
+    estimation: FitTable = TABLE
+    heldout: FitTable = TABLE
+    test: FitTable | None = None
+    next_recording: None = None
+
+
+def said(*effects: str, left: float = 0.04) -> Any:
+    findings = tuple(SimpleNamespace(effect=e, joint=j) for j, e in enumerate(effects, 1))
+    rest = tuple(Left(j, left, (0.9 * left, 1.1 * left)) for j in (1, 2))
+    return Said(findings, rest)
+
+
+def arm(free: bool) -> Model:
+    columns: dict[str, str | list[str]] = {"position": ["q1", "q2"]}
+    mechanism = {"a1": (Quantity(1.0, free),), "b1": (Quantity(0.0, free),)}
+    return Model("arm", H, "python", mechanism, columns=columns)
+
+
+def test_a_body_inside_a_simulator_is_no_law_of_its_joints() -> None:
+    """80 g at the tip of an FMU had become a torque gain of -36 %, an inertia and a coupling."""
+    wrong, right = said("inertia", "torque_gain"), said("coulomb", left=1e-4)
+
+    def alone(_model: Model) -> Any:
+        raise AssertionError("not asked again")
+
+    def freed(model: Model) -> Any:
+        assert all(q.free for items in model.mechanism.values() for q in items)
+        return said(left=1e-4)
+
+    assert without_parts(right, arm(free=False), alone) is right
+    gain = said("torque_gain", left=1e-4)
+    assert without_parts(gain, arm(free=False), alone) is gain, "it leaves nothing: it is right"
+    two = replace(gain, findings=(*gain.findings, SimpleNamespace(effect="inertia", joint=1)))
+    assert without_parts(two, arm(free=False), freed).findings == (), "two laws of one joint"
+    assert without_parts(two, arm(free=False), lambda _: two) is two
+    body = without_parts(wrong, arm(free=False), freed)
+    assert body.verdict == "unexplained" and body.findings == ()
+    assert "joints 1 and 2 is a wrong body" in body.unexplained and "a1" in body.unexplained
+    beside = without_parts(wrong, arm(free=False), lambda _: right)
+    assert beside.verdict == "missing" and beside.findings == right.findings
+    for ask, model in ((alone, arm(free=True)), (lambda _: wrong, arm(free=False))):
+        none = without_parts(wrong, model, ask)
+        assert none.verdict == "unexplained" and none.findings == ()
+        assert none.improved == "calibrated" and none.heldout.improved == 2.0
