@@ -370,9 +370,8 @@ def _refined(
     out = []
     for solver, found, spread in ((one, values, std), (both, together, known)):
         by_gain = _by_gain(solver, h, found, apart)
-        out.append(
-            replace(first, hypothesis=h, values=found, std=np.hypot(apart * spread, by_gain))
-        )
+        std = np.hypot(apart * spread, by_gain)
+        out.append(replace(first, hypothesis=h, values=found, std=std, of_gain=np.abs(by_gain)))
     return out[0], out[1]
 
 
@@ -421,7 +420,7 @@ def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Arra
     combined with what the recordings show.
     """
     limits = solver.limits
-    constant = solver.layout.model.actuator.gain_known or limits.constant
+    constant = gain_known(solver.layout.model, limits)
     both, stated = replace(h, free=(*h.free, "gain")), np.append(values, 0.0)
     off, spread = solver.step(both, stated)[-1], solver.std(both, stated)[-1]
     # in a loop the command balances all unknown torques, which biases a regression for the gain;
@@ -434,6 +433,13 @@ def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Arra
             break
         shift /= 2.0
     return np.asarray(shift)
+
+
+def gain_known(model: Model, limits: BodyLimits = LIMITS) -> float:
+    """Relative standard deviation of the drives' gains: the model's, or that of makers' torque
+    constants.
+    """
+    return model.actuator.gain_known or limits.constant
 
 
 def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
@@ -460,16 +466,18 @@ def weight_of(data: Data, layout: Layout, e: Explained) -> float:
     """RMS torque of an explanation at the joint where it is the largest part of the joint's RMS
     torque, as that part.
     """
-    term = layout.term(e.hypothesis, e.values)
-    most = 0.0
-    for j in range(layout.joints):
-        total = scale = 0.0
-        for rec in data.records:
-            record = rec[j]
+    return float(np.max(weights_of(data, layout, e.hypothesis, e.values)))
+
+
+def weights_of(data: Data, layout: Layout, h: Hypothesis, values: Array) -> Array:
+    """RMS torque of a body at each joint, as a part of the joint's RMS torque, (joints,)."""
+    term = layout.term(h, values)
+    total, scale = np.zeros(layout.joints), np.zeros(layout.joints)
+    for rec in data.records:
+        for j, record in enumerate(rec):
             assert record.links is not None
             change = record.links.change([term], j)
             torque = change.bias + change.inertia * record.others[j, 2]
-            total += float(torque @ torque)
-            scale += record.scale.torque**2 * record.n
-        most = max(most, float(np.sqrt(total / max(scale, 1e-300))))
-    return most
+            total[j] += float(torque @ torque)
+            scale[j] += record.scale.torque**2 * record.n
+    return np.asarray(np.sqrt(total / np.maximum(scale, 1e-300)))

@@ -66,6 +66,16 @@ class Sums:
         out.counts = np.concatenate([self.counts, other.counts], axis=1)
         return out
 
+    def with_torque(self, x: Array) -> Sums:
+        """The sums with a torque in the recordings that the model lacks: coefficients of the
+        columns, (joints, width).
+        """
+        change = np.repeat(np.eye(x.shape[1] + 1)[None], len(x), axis=0)
+        change[:, :-1, -1] = -x
+        out = copy(self)
+        out.grams = np.einsum("jba,jkbc,jcd->jkad", change, self.grams, change, optimize=True)
+        return out
+
     @property
     def whole(self) -> Array:
         """Sum over the blocks, (joints, columns, columns)."""
