@@ -28,10 +28,10 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-AWAY = 0.1  # m from its link's centre, along each axis: places of payloads; the worst counts
-SMALL = 1e-3  # kg or rad: torques of tilts are linear in angles up to here
+OFF_CENTRE = 0.1  # m from its link's centre, along each axis: places of payloads; the worst counts
+ONE_MILLI = 1e-3  # kg or rad: torques of tilts are linear in angles up to here
 STEEPEST = 0.2  # rad: a base that leans farther is no small fault
-IMPLANTS = 12  # of growing size, until one is seen
+LARGER_ONES = 12  # of growing size, until one is seen
 GROWTH = 1.25  # of the size from one implant to the next, at least
 FARTHEST = 4.0  # and at most
 KG, RAD = "kg", "rad"
@@ -102,11 +102,11 @@ def _sought(model: Model, layout: Layout) -> Iterator[list[_Place]]:
         link = bodies[h.joint - 1]
         if h.effect == "payload" and h.joint - 1 in ends:
             at = dict(zip(COM, link.com.tolist(), strict=True))
-            far = [{**at, key: at[key] + by} for key in h.free[1:] for by in (AWAY, -AWAY)] or [at]
-            most = sum(b.mass for b in bodies) or np.inf
+            here, most = np.array([at[key] for key in h.free[1:]]), sum(b.mass for b in bodies)
+            away = OFF_CENTRE * np.concatenate([np.eye(len(here)), -np.eye(len(here))])
             yield [
-                _Place(h, np.array([1.0, *(place[key] for key in h.free[1:])]), most)
-                for place in far
+                _Place(h, np.array([1.0, *(here + by)]), most or np.inf)
+                for by in (away if len(here) else np.zeros((1, 0)))
             ]
         elif h.effect == "body" and h.free == ("mass",):
             yield [_Place(h, np.ones(1), LIMITS.own_mass * link.mass)]
@@ -132,7 +132,7 @@ class _Look:
         size = self._beyond_left(felt)
         values = place.values(max(size, 1e-9))
         size = max(size, (LIMITS.shown + NINE_IN_TEN) * float(np.max(self._std(place, values))))
-        for _ in range(IMPLANTS):
+        for _ in range(LARGER_ONES):
             if not 0.0 < size < place.most:
                 return None
             lacking = self._short_by(h, place.values(size))
@@ -166,7 +166,8 @@ class _Look:
         x = x[:, NUISANCE:]
         left = np.einsum("ja,jab,jb->j", x, self.bare.rest[:, :-1, :-1], x)
         part = np.where(all_of_it > 0.0, left / np.maximum(all_of_it, 1e-300), 0.0)
-        weights = weights_of(self.data, self.layout, place.hypothesis, place.values(SMALL)) / SMALL
+        little = place.values(ONE_MILLI)
+        weights = weights_of(self.data, self.layout, place.hypothesis, little) / ONE_MILLI
         return np.asarray(weights * np.sqrt(np.clip(part, 0.0, 1.0)))
 
     def _beyond_left(self, felt: Array) -> float:

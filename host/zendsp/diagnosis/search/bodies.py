@@ -4,10 +4,11 @@ At a single joint a wrong body looks like a gain, a coupling or a gravity. Here 
 together. To first order, the torque that a body adds along the measured motion appears in the
 observers' innovations (``response`` of ``physics/calibration/predict.py``). That torque is linear
 in ten numbers of each link (``physics/robots/bodies.py``). Beside them, every joint has nuisance
-columns of its own: offset, viscous and dry friction, drag, rotor inertia. So missing friction is
-not mistaken for a body, nor a body for friction. A hypothesis needs only the blocks' Gram matrices,
-so that estimates, evidence on other recordings and rivals cost almost nothing. The winner is
-estimated again around its own numbers, so that its effect on the inertia is exact.
+columns of its own: offset, rotor inertia, and what is odd in its own speed, whatever law its
+friction has. So missing friction is not mistaken for a body, nor a body for friction. A hypothesis
+needs only the blocks' Gram matrices, so that estimates, evidence on other recordings and rivals
+cost almost nothing. The winner is estimated again around its own numbers, so that its effect on the
+inertia is exact.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ class BodySearch:
     ``model``: the given one with them. ``tried``: all explanations of the last round. ``aside``:
     joints set aside for a fault of their own. ``instead``: the body that explains as much as the
     first of these faults, and that joint. ``small``: the best body, where it is too small a part of
-    what the joints leave to be proposed, or as uncertain as the gains of all drives.
+    what the joints leave to be proposed, or as uncertain as the gains of all drives. ``beside``:
+    whether a body was seen before the first joint was set aside.
     """
 
     model: Model
@@ -84,6 +86,7 @@ class BodySearch:
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
     small: FoundBody | None = None
+    beside: bool = False
 
     def taken(self, body: FoundBody) -> BodySearch:
         """The search with a body added that had not been proposed."""
@@ -126,7 +129,8 @@ def find_bodies(
         return BodySearch(model)
     first = search = _searched(fit, choose, model, jobs, tell, limits, beside)
     layout = Layout(model, links)
-    while not search.found and _drowned(choose, layout, search.tried, limits):
+    # behind coarse counts a drive's gain follows the command's noise too, a body only the motion
+    while not search.found and (search.beside or _drowned(choose, layout, search.tried, limits)):
         limits = replace(limits, bandwidth=0.5 * limits.bandwidth)
         if limits.bandwidth < limits.slowest:
             return first
@@ -170,6 +174,7 @@ def _searched(
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
     small: FoundBody | None = None
+    seen_first = False
     while len(found) < limits.bodies:
         tell(
             Step.CALIBRATING.says(
@@ -183,20 +188,16 @@ def _searched(
         tell(Step.CALIBRATING.says("bodies: every hypothesis"))
         tried, aside, first = _round(to_fit, to_choose, layout, limits)
         best = tried[0]
-        if not found and first:
-            own = next(e for e in first if _is_body(e, first[0], limits))
-            own = own_mass(own, first, links, limits)
-            own = refined(fit, choose, layout, own, limits, jobs)
+        seen_first = seen_first or bool(first)
+        own = next((e for e in first if _is_body(e, first[0], limits)), None)
+        if not found and own is not None:
+            own = refined(fit, choose, layout, own_mass(own, first, links, limits), limits, jobs)
             instead = _stated(layout, own, first, limits, frozenset()), first[0].hypothesis.joint
-        taken = {(f.term.effect, f.term.joint) for f in found}
         proposed = seen(best, limits) or clear(best, limits)
         if not found and not proposed and _carried(best, limits):
             own = refined(fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs)
             small = None if unsure(own, limits) else _stated(layout, own, tried, limits, aside)
-        if (
-            not (best.hypothesis.of_bodies and proposed)
-            or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
-        ):
+        if not (best.hypothesis.of_bodies and proposed) or _is_error_of(found, tried, limits):
             break
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}, its numbers"))
         best = refined(
@@ -221,7 +222,23 @@ def _searched(
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
     wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
-    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small)
+    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small, seen_first)
+
+
+def _is_error_of(
+    found: Sequence[FoundBody], tried: Sequence[Explained], limits: BodyLimits
+) -> bool:
+    """Whether other numbers of a body that is found already explain what is left as well as a
+    further one does.
+    """
+    have = {f.explained.hypothesis.joint for f in found}
+    return any(
+        e.hypothesis.of_bodies
+        and e.hypothesis.joint in have
+        and e.z > limits.sure
+        and tied(e, tried[0], limits)
+        for e in tried
+    )
 
 
 def _stated(
@@ -259,7 +276,7 @@ def _round(
     fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
 ) -> tuple[list[Explained], frozenset[int], list[Explained]]:
     """All explanations, the best first, with joints set aside that have a larger fault of their
-    own; and the explanations before the first joint was set aside, where a body was among the best.
+    own; and the explanations before the first joint was set aside, where a body was seen.
     """
     everything = hypotheses(layout.model, layout.links)
     aside: set[int] = set()
@@ -272,7 +289,7 @@ def _round(
         best = tried[0]
         if best.hypothesis.of_bodies or not best.hypothesis.joint or not seen(best, limits):
             return tried, frozenset(aside), first
-        if not aside and any(_is_body(e, best, limits) for e in tried):
+        if not aside and any(e.hypothesis.of_bodies and seen(e, limits) for e in tried):
             first = tried
         aside.add(best.hypothesis.joint)
 
@@ -281,9 +298,15 @@ def own_mass(
     best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
 ) -> Explained:
     """A wrong mass of the link in place of a body at its centre of mass, within the uncertainty of
-    the place; or a wrong centre of mass in place of both, where the mass may be right.
+    the place; a wrong centre of mass in place of both, where the mass may be right; a payload in
+    place of a link that is too heavy for an error of the file.
     """
     h = best.hypothesis
+    if h.effect == "body" and "mass" in h.free:
+        most = limits.own_mass * links.bodies[h.joint - 1].mass
+        alike = (e for e in tried if tied(e, tried[0], limits) and e.hypothesis.joint == h.joint)
+        if best.values[0] > most:
+            return next((e for e in alike if e.hypothesis.effect == "payload"), best)
     if "mass" not in h.free or h.free == ("mass",):
         return best
     if h.effect == "body" and abs(best.values[0]) < limits.shown * best.std[0]:
