@@ -202,10 +202,10 @@ def test_rivals_of_a_body_are_effects_in_the_report_and_words_in_its_sentence() 
         std=np.array([0.03]),
         of_gain=None,
     )
-    others = ("payload of link2", "gravity_scale", "calibration")
+    others = ("payload of link2", "body of link3", "gravity_scale", "calibration")
     found = FoundBody(term, "link2", explained, others, ())
     told = decide_bodies.body_finding(BodyClaim(found, {2: 0.1}, 100.0, 0.5), 0.02, GIVEN)
-    assert told.indistinguishable == ("payload", "gravity")
+    assert told.indistinguishable == ("payload", "body of link3", "gravity")
     assert "another strength of gravity, other values of the model's own free" in told.sentence
 
 

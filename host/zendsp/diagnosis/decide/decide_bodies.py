@@ -445,9 +445,10 @@ def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rej
 
 
 def _effects(words: Sequence[str], own: str) -> tuple[str, ...]:
-    """The effect names of hypotheses in words ("payload of link3"), each once, without ``own``. The
-    report lists effects only; the sentence has the body, and the rivals that are no effects.
+    """The effect names of hypotheses in words ("payload of link3"), each once; the same effect of
+    another link with its link. The sentence has all links, and the rivals that are no effects.
     """
-    effects = (w.split(" of ")[0] for w in words if w not in IN_WORDS)
+    named = ((w, w.split(" of ")[0]) for w in words if w not in IN_WORDS)
+    effects = (w if effect == own else effect for w, effect in named)
     strength = ("gravity",) if "gravity_scale" in words else ()
-    return tuple(dict.fromkeys(e for e in (*effects, *strength) if e != own))
+    return tuple(dict.fromkeys((*effects, *strength)))
