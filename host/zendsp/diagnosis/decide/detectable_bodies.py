@@ -20,8 +20,9 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide_bodies import LARGER_THAN_LEFT, BodyClaim
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.discrepancy import NINE_IN_TEN
-from zendsp.diagnosis.search.bodies import weights_of
+from zendsp.diagnosis.search.bodies import known_by, many, weights_of
 from zendsp.diagnosis.search.body_columns import NUISANCE, Layout, Sums
+from zendsp.diagnosis.search.body_explain import Explained
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, Hypothesis, hypotheses
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.model import Model
@@ -44,6 +45,7 @@ class _Place:
     hypothesis: Hypothesis
     unit: Array
     most: float  # a larger size is not stated
+    fewer: Hypothesis | None = None  # what it is taken for where mass and centre cannot be told
 
     def values(self, size: float) -> Array:
         """The numbers for a size: a payload's centre stays."""
@@ -104,8 +106,10 @@ def _sought(model: Model, layout: Layout) -> Iterator[list[_Place]]:
             at = dict(zip(COM, link.com.tolist(), strict=True))
             here, most = np.array([at[key] for key in h.free[1:]]), sum(b.mass for b in bodies)
             away = OFF_CENTRE * np.concatenate([np.eye(len(here)), -np.eye(len(here))])
+            own = Hypothesis("body", h.joint, h.body, h.free[1:])
+            fewer = own if link.mass > 0 and h.free[1:] else None
             yield [
-                _Place(h, np.array([1.0, *(here + by)]), most or np.inf)
+                _Place(h, np.array([1.0, *(here + by)]), most or np.inf, fewer)
                 for by in (away if len(here) else np.zeros((1, 0)))
             ]
         elif h.effect == "body" and h.free == ("mass",):
@@ -130,12 +134,10 @@ class _Look:
         place = min(places, key=self._energy)
         h, felt = place.hypothesis, self._felt(place)
         size = self._beyond_left(felt)
-        values = place.values(max(size, 1e-9))
-        size = max(size, (LIMITS.shown + NINE_IN_TEN) * float(np.max(self._std(place, values))))
         for _ in range(LARGER_ONES):
             if not 0.0 < size < place.most:
                 return None
-            lacking = self._short_by(h, place.values(size))
+            lacking = self._short_by(place, size)
             if lacking <= 1.0:
                 unit = RAD if h.effect == "base_tilt" else KG
                 share = size * float(np.max(felt))
@@ -182,27 +184,34 @@ class _Look:
         at = order[int(np.searchsorted(borne, LARGER_THAN_LEFT * borne[-1]))]
         return max(float(needs[at]), LIMITS.least / float(np.max(felt)))
 
-    def _std(self, place: _Place, values: Array) -> Array:
-        """Standard deviation of the size."""
-        free = np.array([key not in COM for key in place.hypothesis.free])
-        spread = self._with(place.hypothesis, values).std(place.hypothesis, values)
-        return np.asarray(spread[free & (place.unit != 0.0)])
-
-    def _with(self, h: Hypothesis, values: Array) -> Solver:
-        """The solver of the recordings with a body implanted."""
-        x = self.layout.place(h, values)
-        return Solver(self.fit.with_torque(x), self.choose.with_torque(x), self.layout)
-
-    def _short_by(self, h: Hypothesis, values: Array) -> float:
+    def _short_by(self, place: _Place, size: float) -> float:
         """The factor by which a body would have to be larger (1 or less: it is seen)."""
-        solver = self._with(h, values)
-        found = solver.at(h, solver.estimate(h, values))
-        nothing = np.zeros_like(found)
-        z = solver.better(found, nothing)
-        before, after = (np.maximum(solver.squares(x), 1e-300) for x in (nothing, found))
-        share = max(float(np.max(1.0 - after / before)), 0.0)
-        enough = [
-            min(z / (sure + NINE_IN_TEN), np.sqrt(share / part))
-            for sure, part in ((LIMITS.sure, LIMITS.part), (LIMITS.clear, LIMITS.little))
-        ]
-        return float(1.0 / max(*enough, 1e-9))
+        values = place.values(size)
+        x = self.layout.place(place.hypothesis, values)
+        fit, choose = self.fit.with_torque(x), self.choose.with_torque(x)
+        both = fit.with_more(choose)
+        one, all_of_it = Solver(fit, choose, self.layout), Solver(both, both, self.layout)
+        shown = _shown(one, all_of_it, place.hypothesis, values)
+        if place.fewer is not None:
+            shown = max(shown, _shown(one, all_of_it, place.fewer, np.zeros(len(place.fewer.free))))
+        return 1.0 / max(shown, 1e-9)
+
+
+def _shown(one: Solver, both: Solver, h: Hypothesis, start: Array) -> float:
+    """The evidence for a hypothesis, and how well its numbers are known, as a part of what the
+    search for bodies asks for with nine chances in ten.
+    """
+    numbers = one.estimate(h, start)
+    found = one.at(h, numbers)
+    nothing = np.zeros_like(found)
+    z = one.better(found, nothing)
+    before, after = (np.maximum(one.squares(x), 1e-300) for x in (nothing, found))
+    share = np.maximum(1.0 - after / before, 0.0)
+    told = Explained(h, numbers, numbers, 0.0, z, 0.0, share, share)
+    told, _ = known_by(one, both, told, numbers)
+    sure = np.abs(told.values) / ((many(h) + NINE_IN_TEN) * np.maximum(told.std, 1e-300))
+    enough = [
+        min(z / (least + NINE_IN_TEN), np.sqrt(np.max(share) / part))
+        for least, part in ((LIMITS.sure, LIMITS.part), (LIMITS.clear, LIMITS.little))
+    ]
+    return float(min(max(enough), np.max(sure)))

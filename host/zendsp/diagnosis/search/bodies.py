@@ -200,12 +200,7 @@ def _searched(
         if not (best.hypothesis.of_bodies and proposed) or _is_error_of(found, tried, limits):
             break
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}, its numbers"))
-        best = refined(
-            fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
-        )
-        own = own_mass(best, [e for e in tried if tied(e, tried[0], limits)], links, limits)
-        if own is not best:  # its place is as well known as it can be
-            best = refined(fit, choose, layout, own, limits, jobs, aside)
+        best = _with_numbers(fit, choose, layout, tried, limits, jobs, aside)
         # a body on which recordings disagree is none, and hides real ones
         if weight_of(choose, layout, best) < limits.least:
             break
@@ -223,6 +218,35 @@ def _searched(
         model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
     wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
     return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small, seen_first)
+
+
+def _with_numbers(
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    tried: Sequence[Explained],
+    limits: BodyLimits,
+    jobs: int,
+    aside: frozenset[int],
+) -> Explained:
+    """The best explanation with its numbers. Where none of them is known, as those of a light
+    payload of which only the first moment acts, fewer numbers of the link that explain as much.
+    """
+    alike = [e for e in tried if tied(e, tried[0], limits)]
+
+    def again(e: Explained) -> Explained:
+        return refined(fit, choose, layout, e, limits, jobs, aside)
+
+    best = again(own_mass(tried[0], tried, layout.links, limits))
+    own = own_mass(best, alike, layout.links, limits)
+    if own is not best:  # its place is as well known as it can be
+        best = again(own)
+    if not unsure(best, limits):
+        return best
+    h = best.hypothesis
+    of_link = (e for e in alike if e.hypothesis.of_bodies and e.hypothesis.joint == h.joint)
+    fewer = (again(e) for e in of_link if len(e.hypothesis.free) < len(h.free))
+    return next((e for e in fewer if not unsure(e, limits)), best)
 
 
 def _is_error_of(
@@ -384,18 +408,29 @@ def _refined(
     one, both = (
         Solver(x, x, layout, limits, origin, aside) for x in (sums[0], sums[0].with_more(sums[1]))
     )
-    together = both.estimate(h, values)
-    std, known = one.std(h, values), both.std(h, together)
+    return known_by(one, both, replace(first, hypothesis=h), values)
+
+
+def known_by(
+    one: Solver, both: Solver, first: Explained, values: Array
+) -> tuple[Explained, Explained]:
+    """An explanation estimated by some recordings (``values``) and by more of them, with how well
+    its numbers are known.
+    """
+    together = both.estimate(first.hypothesis, values)
+    std = one.std(first.hypothesis, values)
     # further recordings reduce the variance by their share of all samples
     more = 1.0 - one.counts.sum() / both.counts.sum()
     may = np.maximum(more * std**2, 1e-300)
     apart = max(1.0, float(np.sqrt(np.mean((together - values) ** 2 / may))))
-    out = []
-    for solver, found, spread in ((one, values, std), (both, together, known)):
-        by_gain = _by_gain(solver, h, found, apart)
-        std = np.hypot(apart * spread, by_gain)
-        out.append(replace(first, hypothesis=h, values=found, std=std, of_gain=np.abs(by_gain)))
-    return out[0], out[1]
+    return _known_to(one, first, values, apart), _known_to(both, first, together, apart)
+
+
+def _known_to(solver: Solver, first: Explained, values: Array, apart: float) -> Explained:
+    """An explanation with numbers and how well they are known."""
+    by_gain = _by_gain(solver, first.hypothesis, values, apart)
+    std = np.hypot(apart * solver.std(first.hypothesis, values), by_gain)
+    return replace(first, values=values, std=std, of_gain=np.abs(by_gain))
 
 
 def _standing(
@@ -469,10 +504,16 @@ def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
     """Whether every free number of a body lies within two standard deviations of zero; beside a
     mass, its centre within three.
     """
-    many = np.full(len(explained.values), limits.shown)
-    if "mass" in explained.hypothesis.free:
-        many[1:] = limits.sure
-    return bool(np.all(np.abs(explained.values) < many * explained.std))
+    least = many(explained.hypothesis, limits) * explained.std
+    return bool(np.all(np.abs(explained.values) < least))
+
+
+def many(h: Hypothesis, limits: BodyLimits = LIMITS) -> Array:
+    """Standard deviations from which on one number of a body shows that there is one, (p,)."""
+    out = np.full(len(h.free), limits.shown)
+    if "mass" in h.free:
+        out[1:] = limits.sure
+    return out
 
 
 def stated(layout: Layout, e: Explained) -> Term:
