@@ -191,15 +191,22 @@ class _Look:
         fit, choose = self.fit.with_torque(x), self.choose.with_torque(x)
         both = fit.with_more(choose)
         one, all_of_it = Solver(fit, choose, self.layout), Solver(both, both, self.layout)
-        shown = _shown(one, all_of_it, place.hypothesis, values)
+        shown, best = _shown(one, all_of_it, place.hypothesis, values)
         if place.fewer is not None:
-            shown = max(shown, _shown(one, all_of_it, place.fewer, np.zeros(len(place.fewer.free))))
+            other, found = _shown(one, all_of_it, place.fewer, np.zeros(len(place.fewer.free)))
+            shown = max(shown, other if _as_good(one, found, best) else 0.0)
         return 1.0 / max(shown, 1e-9)
 
 
-def _shown(one: Solver, both: Solver, h: Hypothesis, start: Array) -> float:
+def _as_good(solver: Solver, found: Array, best: Array) -> bool:
+    """Whether numbers of a body predict as well as the best."""
+    none, one, other = (float(solver.points(x).sum()) for x in (0.0 * best, best, found))
+    return solver.better(best, found) < LIMITS.tie or other - one < LIMITS.share * (none - one)
+
+
+def _shown(one: Solver, both: Solver, h: Hypothesis, start: Array) -> tuple[float, Array]:
     """The evidence for a hypothesis, and how well its numbers are known, as a part of what the
-    search for bodies asks for with nine chances in ten.
+    search for bodies asks for with nine chances in ten; and its coefficients of the columns.
     """
     numbers = one.estimate(h, start)
     found = one.at(h, numbers)
@@ -214,4 +221,4 @@ def _shown(one: Solver, both: Solver, h: Hypothesis, start: Array) -> float:
         min(z / (least + NINE_IN_TEN), np.sqrt(np.max(share) / part))
         for least, part in ((LIMITS.sure, LIMITS.part), (LIMITS.clear, LIMITS.little))
     ]
-    return float(min(max(enough), np.max(sure)))
+    return float(min(max(enough), np.max(sure))), found
