@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from small_arms import Arm, prepared, recorded, searched
 
@@ -16,6 +17,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.report import summary
+from zendsp.diagnosis.search.body_columns import _frictions
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import kernel_model
 
@@ -75,3 +77,31 @@ def test_the_summary_tells_the_largest_body_of_each_kind_that_may_have_been_miss
     told = summary._missed([*[replace(ripple, joint=j) for j in range(1, 6)], *bodies])
     assert "body below 0.4 kg (joint 2)" in told and "payload below 0.1 kg (joint 3)" in told
     assert told.count("ripple") == 3 and told.endswith("and 3 smaller ones")
+
+
+@pytest.mark.parametrize("fallen", [0.1, 0.15, 0.2])  # of the RMS speed
+def test_frictions_beside_a_body_fall_with_the_speed(record, fallen: float) -> None:  # type: ignore[no-untyped-def]
+    """Beside a straight line of friction a link 10 % heavier was not seen."""
+    fit, _ = prepared(record("none", Arm()))
+    joint, speed = fit.records[0][1], fit.records[0][1].scale.speed
+    qd = joint.motion.states[1]
+    moves = np.abs(qd) > 0.05 * speed
+    falling = np.sign(qd) * np.exp(-((qd / (fallen * speed)) ** 2))
+    columns = np.stack(_frictions(joint, kernel_model(record("none", Arm())[0]), 0.05 * speed))
+    left = {}
+    for name, span in (("all", columns), ("dry, viscous and drag", columns[:4])):
+        found = np.linalg.lstsq(span[:, moves].T, falling[moves])[0]
+        left[name] = float(np.linalg.norm(falling[moves] - found @ span[:, moves]))
+    assert left["all"] < 0.1 * np.linalg.norm(falling[moves])
+    assert left["all"] < 0.4 * left["dry, viscous and drag"]
+
+
+def test_a_friction_beside_a_body_grows_with_the_load(record) -> None:  # type: ignore[no-untyped-def]
+    model, paths = record("none", Arm())
+    fit, _ = prepared((model, paths))
+    joint, speed = fit.records[0][1], fit.records[0][1].scale.speed
+    load = _frictions(joint, kernel_model(model), 0.05 * speed)[-1]
+    inertia, bias = joint.inertia_and_bias(kernel_model(model))
+    fast = np.abs(joint.motion.states[1]) > 0.2 * speed
+    torque = np.abs(inertia * joint.motion.states[2] + bias) * np.sign(joint.motion.states[1])
+    assert np.allclose(load[fast], torque[fast], rtol=1e-3)
