@@ -26,6 +26,7 @@ from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.contract import Rejected, Verdict
 from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import blind, detectable
+from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
@@ -245,12 +246,15 @@ def _look_on(
 ) -> _Looked:
     tell(Step.LOOKING_ON.says("asking what could have been seen"))
     seen = detectable(found.parts, given, found.decisions, jobs)
+    bodies = detectable_bodies(
+        found.parts, found.whole.improved, found.decisions, found.claims, jobs
+    )
     decisions = blind(found.decisions, seen)
     tell(Step.LOOKING_ON.says("proposing the next recording"))
     if given.called is not None:
         return _Looked(decisions, seen, experiment_of(findings))
     proposal = propose(fit, given, found.searches, findings, decisions, seed)
-    return _Looked(decisions, seen, proposal)
+    return _Looked(decisions, (*seen, *bodies), proposal)
 
 
 def _by_one_clock(found: Found) -> tuple[Found, list[str]]:

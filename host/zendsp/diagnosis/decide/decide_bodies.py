@@ -19,6 +19,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed
 from zendsp.diagnosis.decide.confidence import SUREST
 from zendsp.diagnosis.decide.contract import Further, Rejected, Verdict
+from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.decide.pieces import log_e_value
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR, OWN_SHARE, PLAIN, SURE
@@ -27,9 +28,17 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.measure.windows import model_error
-from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, agreed, refined, stated, unsure
+from zendsp.diagnosis.search.bodies import (
+    BodySearch,
+    FoundBody,
+    agreed,
+    gain_known,
+    refined,
+    stated,
+    unsure,
+)
 from zendsp.diagnosis.search.body_columns import Layout
-from zendsp.diagnosis.search.body_explain import seen, tied
+from zendsp.diagnosis.search.body_explain import Explained, seen, tied
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import library
@@ -38,6 +47,8 @@ from zendsp.physics.robots.bodies import Links
 
 # of a body's squared torque over all joints: so much must act where it exceeds what is left
 LARGER_THAN_LEFT = 0.5
+MOSTLY = 0.5  # of the variance of a body's number: the torque gains make its uncertainty
+UNSTATED = "since [actuator] gain states no std"
 REJECTED = 4  # so many of its rivals are reported
 # rivals that are no effects, in words
 IN_WORDS = {
@@ -323,9 +334,9 @@ def settled(
     return tuple(out), improved
 
 
-def body_finding(claim: BodyClaim, everything: float) -> Finding:
+def body_finding(claim: BodyClaim, everything: float, given: Model) -> Finding:
     """The finding of a claimed body; ``everything`` is the explainable mismatch of which it is a
-    part.
+    part. ``given``: the model.
     """
     found = claim.found
     h, term = found.explained.hypothesis, found.term
@@ -338,7 +349,7 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
         )
         scale = abs(value) if key in ("mass", "inertia") else max(abs(value), 0.1)
         values[key] = Estimate(float(value), float(np.hypot(std, INTEGRATION_ERROR * scale)), unit)
-    text = _sentence(found, values)
+    text = _sentence(found, values) + _why_unsure(found.explained, given)
     if found.indistinguishable:
         others = ", ".join(IN_WORDS.get(name, name) for name in found.indistinguishable)
         text += f" This recording cannot tell it from {others}."
@@ -358,6 +369,16 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
         "inertia",
         law,
     )
+
+
+def _why_unsure(explained: Explained, given: Model) -> str:
+    """A sentence where most of a body's uncertainty is that of the gains of the drives."""
+    of_gain = explained.of_gain
+    if of_gain is None or not np.any(of_gain**2 > MOSTLY * explained.std**2):
+        return ""
+    stated = "as [actuator] gain states" if given.actuator.gain_known else UNSTATED
+    most = f"{percent(gain_known(given))} %"
+    return f" Most of its ± comes from the torque gains of the drives ({most}, {stated})."
 
 
 def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
@@ -424,9 +445,10 @@ def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rej
 
 
 def _effects(words: Sequence[str], own: str) -> tuple[str, ...]:
-    """The effect names of hypotheses in words ("payload of link3"), each once, without ``own``. The
-    report lists effects only; the sentence has the body, and the rivals that are no effects.
+    """The effect names of hypotheses in words ("payload of link3"), each once; the same effect of
+    another link with its link. The sentence has all links, and the rivals that are no effects.
     """
-    effects = (w.split(" of ")[0] for w in words if w not in IN_WORDS)
+    named = ((w, w.split(" of ")[0]) for w in words if w not in IN_WORDS)
+    effects = (w if effect == own else effect for w, effect in named)
     strength = ("gravity",) if "gravity_scale" in words else ()
-    return tuple(dict.fromkeys(e for e in (*effects, *strength) if e != own))
+    return tuple(dict.fromkeys((*effects, *strength)))

@@ -63,7 +63,7 @@ def name_findings(
     rejected: list[Rejected] = []
     lacks = (min(1.0, d.before.value) for d in decisions)  # above 1 it does not follow at all
     everything = sum(x**2 for x in lacks) + sum(b.square for b in bodies) or 1.0
-    ranked += [(b.gain, body_finding(b, everything)) for b in bodies]
+    ranked += [(b.gain, body_finding(b, everything, given)) for b in bodies]
     ranked += [(math.inf, _disturbance(pushed, given)) for pushed in at_once(decisions)]
     for decision in decisions:
         joint = decision.joint

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from zendsp.diagnosis.decide.contract import Verdict, spans
 from zendsp.diagnosis.decide.headline import SMALLEST_SHARE, percent
+from zendsp.physics.effects import get_effect
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
@@ -69,13 +70,19 @@ def summary(d: Diagnosis) -> str:
 
 
 def _missed(detectable: Sequence[Detectable]) -> str:
-    """The largest effects that the recordings could hide, as parts of the torque, and the count of
-    others.
+    """The largest effects that the recordings could hide, as parts of the torque, and the largest
+    body of each kind; and the count of others.
     """
-    largest = sorted(detectable, key=lambda x: -x.share)[:MISSED]
+    bodies = {x.effect: x for x in sorted(detectable, key=lambda x: x.size) if _is_body(x)}
+    others = sorted((x for x in detectable if not _is_body(x)), key=lambda x: -x.share)
+    largest = [*others[:MISSED], *bodies.values()]
     named = ", ".join(f"{x.effect} below {_sized(x)} (joint {x.joint})" for x in largest)
     more = len(detectable) - len(largest)
     return named + (f", and {counted(more, 'smaller one')}" if more else "")
+
+
+def _is_body(x: Detectable) -> bool:
+    return get_effect(x.effect).site == "body"
 
 
 def _sized(x: Detectable) -> str:

@@ -4,10 +4,11 @@ At a single joint a wrong body looks like a gain, a coupling or a gravity. Here 
 together. To first order, the torque that a body adds along the measured motion appears in the
 observers' innovations (``response`` of ``physics/calibration/predict.py``). That torque is linear
 in ten numbers of each link (``physics/robots/bodies.py``). Beside them, every joint has nuisance
-columns of its own: offset, viscous and dry friction, drag, rotor inertia. So missing friction is
-not mistaken for a body, nor a body for friction. A hypothesis needs only the blocks' Gram matrices,
-so that estimates, evidence on other recordings and rivals cost almost nothing. The winner is
-estimated again around its own numbers, so that its effect on the inertia is exact.
+columns of its own: offset, rotor inertia, and what is odd in its own speed, whatever law its
+friction has. So missing friction is not mistaken for a body, nor a body for friction. A hypothesis
+needs only the blocks' Gram matrices, so that estimates, evidence on other recordings and rivals
+cost almost nothing. The winner is estimated again around its own numbers, so that its effect on the
+inertia is exact.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ class BodySearch:
     ``model``: the given one with them. ``tried``: all explanations of the last round. ``aside``:
     joints set aside for a fault of their own. ``instead``: the body that explains as much as the
     first of these faults, and that joint. ``small``: the best body, where it is too small a part of
-    what the joints leave to be proposed, or as uncertain as the gains of all drives.
+    what the joints leave to be proposed, or as uncertain as the gains of all drives. ``beside``:
+    whether a body was seen before the first joint was set aside.
     """
 
     model: Model
@@ -84,6 +86,7 @@ class BodySearch:
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
     small: FoundBody | None = None
+    beside: bool = False
 
     def taken(self, body: FoundBody) -> BodySearch:
         """The search with a body added that had not been proposed."""
@@ -126,7 +129,8 @@ def find_bodies(
         return BodySearch(model)
     first = search = _searched(fit, choose, model, jobs, tell, limits, beside)
     layout = Layout(model, links)
-    while not search.found and _drowned(choose, layout, search.tried, limits):
+    # behind coarse counts a drive's gain follows the command's noise too, a body only the motion
+    while not search.found and (search.beside or _drowned(choose, layout, search.tried, limits)):
         limits = replace(limits, bandwidth=0.5 * limits.bandwidth)
         if limits.bandwidth < limits.slowest:
             return first
@@ -170,6 +174,7 @@ def _searched(
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
     small: FoundBody | None = None
+    seen_first = False
     while len(found) < limits.bodies:
         tell(
             Step.CALIBRATING.says(
@@ -183,28 +188,19 @@ def _searched(
         tell(Step.CALIBRATING.says("bodies: every hypothesis"))
         tried, aside, first = _round(to_fit, to_choose, layout, limits)
         best = tried[0]
-        if not found and first:
-            own = next(e for e in first if _is_body(e, first[0], limits))
-            own = own_mass(own, first, links, limits)
-            own = refined(fit, choose, layout, own, limits, jobs)
+        seen_first = seen_first or bool(first)
+        own = next((e for e in first if _is_body(e, first[0], limits)), None)
+        if not found and own is not None:
+            own = refined(fit, choose, layout, own_mass(own, first, links, limits), limits, jobs)
             instead = _stated(layout, own, first, limits, frozenset()), first[0].hypothesis.joint
-        taken = {(f.term.effect, f.term.joint) for f in found}
         proposed = seen(best, limits) or clear(best, limits)
         if not found and not proposed and _carried(best, limits):
             own = refined(fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs)
             small = None if unsure(own, limits) else _stated(layout, own, tried, limits, aside)
-        if (
-            not (best.hypothesis.of_bodies and proposed)
-            or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
-        ):
+        if not (best.hypothesis.of_bodies and proposed) or _is_error_of(found, tried, limits):
             break
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}, its numbers"))
-        best = refined(
-            fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
-        )
-        own = own_mass(best, [e for e in tried if tied(e, tried[0], limits)], links, limits)
-        if own is not best:  # its place is as well known as it can be
-            best = refined(fit, choose, layout, own, limits, jobs, aside)
+        best = _with_numbers(fit, choose, layout, tried, limits, jobs, aside)
         # a body on which recordings disagree is none, and hides real ones
         if weight_of(choose, layout, best) < limits.least:
             break
@@ -221,7 +217,52 @@ def _searched(
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
     wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
-    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small)
+    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small, seen_first)
+
+
+def _with_numbers(
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    tried: Sequence[Explained],
+    limits: BodyLimits,
+    jobs: int,
+    aside: frozenset[int],
+) -> Explained:
+    """The best explanation with its numbers. Where none of them is known, as those of a light
+    payload of which only the first moment acts, fewer numbers of the link that explain as much.
+    """
+    alike = [e for e in tried if tied(e, tried[0], limits)]
+
+    def again(e: Explained) -> Explained:
+        return refined(fit, choose, layout, e, limits, jobs, aside)
+
+    best = again(own_mass(tried[0], tried, layout.links, limits))
+    own = own_mass(best, alike, layout.links, limits)
+    if own is not best:  # its place is as well known as it can be
+        best = again(own)
+    if not unsure(best, limits):
+        return best
+    h = best.hypothesis
+    of_link = (e for e in alike if e.hypothesis.of_bodies and e.hypothesis.joint == h.joint)
+    fewer = (again(e) for e in of_link if len(e.hypothesis.free) < len(h.free))
+    return next((e for e in fewer if not unsure(e, limits)), best)
+
+
+def _is_error_of(
+    found: Sequence[FoundBody], tried: Sequence[Explained], limits: BodyLimits
+) -> bool:
+    """Whether other numbers of a body that is found already explain what is left as well as a
+    further one does.
+    """
+    have = {f.explained.hypothesis.joint for f in found}
+    return any(
+        e.hypothesis.of_bodies
+        and e.hypothesis.joint in have
+        and e.z > limits.sure
+        and tied(e, tried[0], limits)
+        for e in tried
+    )
 
 
 def _stated(
@@ -259,7 +300,7 @@ def _round(
     fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
 ) -> tuple[list[Explained], frozenset[int], list[Explained]]:
     """All explanations, the best first, with joints set aside that have a larger fault of their
-    own; and the explanations before the first joint was set aside, where a body was among the best.
+    own; and the explanations before the first joint was set aside, where a body was seen.
     """
     everything = hypotheses(layout.model, layout.links)
     aside: set[int] = set()
@@ -272,7 +313,7 @@ def _round(
         best = tried[0]
         if best.hypothesis.of_bodies or not best.hypothesis.joint or not seen(best, limits):
             return tried, frozenset(aside), first
-        if not aside and any(_is_body(e, best, limits) for e in tried):
+        if not aside and any(e.hypothesis.of_bodies and seen(e, limits) for e in tried):
             first = tried
         aside.add(best.hypothesis.joint)
 
@@ -281,9 +322,15 @@ def own_mass(
     best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
 ) -> Explained:
     """A wrong mass of the link in place of a body at its centre of mass, within the uncertainty of
-    the place; or a wrong centre of mass in place of both, where the mass may be right.
+    the place; a wrong centre of mass in place of both, where the mass may be right; a payload in
+    place of a link that is too heavy for an error of the file.
     """
     h = best.hypothesis
+    if h.effect == "body" and "mass" in h.free:
+        most = limits.own_mass * links.bodies[h.joint - 1].mass
+        alike = (e for e in tried if tied(e, tried[0], limits) and e.hypothesis.joint == h.joint)
+        if best.values[0] > most:
+            return next((e for e in alike if e.hypothesis.effect == "payload"), best)
     if "mass" not in h.free or h.free == ("mass",):
         return best
     if h.effect == "body" and abs(best.values[0]) < limits.shown * best.std[0]:
@@ -361,19 +408,29 @@ def _refined(
     one, both = (
         Solver(x, x, layout, limits, origin, aside) for x in (sums[0], sums[0].with_more(sums[1]))
     )
-    together = both.estimate(h, values)
-    std, known = one.std(h, values), both.std(h, together)
+    return known_by(one, both, replace(first, hypothesis=h), values)
+
+
+def known_by(
+    one: Solver, both: Solver, first: Explained, values: Array
+) -> tuple[Explained, Explained]:
+    """An explanation estimated by some recordings (``values``) and by more of them, with how well
+    its numbers are known.
+    """
+    together = both.estimate(first.hypothesis, values)
+    std = one.std(first.hypothesis, values)
     # further recordings reduce the variance by their share of all samples
     more = 1.0 - one.counts.sum() / both.counts.sum()
     may = np.maximum(more * std**2, 1e-300)
     apart = max(1.0, float(np.sqrt(np.mean((together - values) ** 2 / may))))
-    out = []
-    for solver, found, spread in ((one, values, std), (both, together, known)):
-        by_gain = _by_gain(solver, h, found, apart)
-        out.append(
-            replace(first, hypothesis=h, values=found, std=np.hypot(apart * spread, by_gain))
-        )
-    return out[0], out[1]
+    return _known_to(one, first, values, apart), _known_to(both, first, together, apart)
+
+
+def _known_to(solver: Solver, first: Explained, values: Array, apart: float) -> Explained:
+    """An explanation with numbers and how well they are known."""
+    by_gain = _by_gain(solver, first.hypothesis, values, apart)
+    std = np.hypot(apart * solver.std(first.hypothesis, values), by_gain)
+    return replace(first, values=values, std=std, of_gain=np.abs(by_gain))
 
 
 def _standing(
@@ -421,7 +478,7 @@ def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Arra
     combined with what the recordings show.
     """
     limits = solver.limits
-    constant = solver.layout.model.actuator.gain_known or limits.constant
+    constant = gain_known(solver.layout.model, limits)
     both, stated = replace(h, free=(*h.free, "gain")), np.append(values, 0.0)
     off, spread = solver.step(both, stated)[-1], solver.std(both, stated)[-1]
     # in a loop the command balances all unknown torques, which biases a regression for the gain;
@@ -436,14 +493,27 @@ def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Arra
     return np.asarray(shift)
 
 
+def gain_known(model: Model, limits: BodyLimits = LIMITS) -> float:
+    """Relative standard deviation of the drives' gains: the model's, or that of makers' torque
+    constants.
+    """
+    return model.actuator.gain_known or limits.constant
+
+
 def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
     """Whether every free number of a body lies within two standard deviations of zero; beside a
     mass, its centre within three.
     """
-    many = np.full(len(explained.values), limits.shown)
-    if "mass" in explained.hypothesis.free:
-        many[1:] = limits.sure
-    return bool(np.all(np.abs(explained.values) < many * explained.std))
+    least = many(explained.hypothesis, limits) * explained.std
+    return bool(np.all(np.abs(explained.values) < least))
+
+
+def many(h: Hypothesis, limits: BodyLimits = LIMITS) -> Array:
+    """Standard deviations from which on one number of a body shows that there is one, (p,)."""
+    out = np.full(len(h.free), limits.shown)
+    if "mass" in h.free:
+        out[1:] = limits.sure
+    return out
 
 
 def stated(layout: Layout, e: Explained) -> Term:
@@ -460,16 +530,18 @@ def weight_of(data: Data, layout: Layout, e: Explained) -> float:
     """RMS torque of an explanation at the joint where it is the largest part of the joint's RMS
     torque, as that part.
     """
-    term = layout.term(e.hypothesis, e.values)
-    most = 0.0
-    for j in range(layout.joints):
-        total = scale = 0.0
-        for rec in data.records:
-            record = rec[j]
+    return float(np.max(weights_of(data, layout, e.hypothesis, e.values)))
+
+
+def weights_of(data: Data, layout: Layout, h: Hypothesis, values: Array) -> Array:
+    """RMS torque of a body at each joint, as a part of the joint's RMS torque, (joints,)."""
+    term = layout.term(h, values)
+    total, scale = np.zeros(layout.joints), np.zeros(layout.joints)
+    for rec in data.records:
+        for j, record in enumerate(rec):
             assert record.links is not None
             change = record.links.change([term], j)
             torque = change.bias + change.inertia * record.others[j, 2]
-            total += float(torque @ torque)
-            scale += record.scale.torque**2 * record.n
-        most = max(most, float(np.sqrt(total / max(scale, 1e-300))))
-    return most
+            total[j] += float(torque @ torque)
+            scale[j] += record.scale.torque**2 * record.n
+    return np.asarray(np.sqrt(total / np.maximum(scale, 1e-300)))

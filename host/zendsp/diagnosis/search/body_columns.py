@@ -28,7 +28,10 @@ from zendsp.physics.model import Model, Quantity, Term, per_joint
 from zendsp.physics.robots.bodies import Links, change_of, turned_gravity
 
 Array = npt.NDArray[np.float64]
-NUISANCE = 6  # columns of each joint's own
+# of the RMS speed: the friction that falls with the speed (Stribeck 1902) has fallen by then. Each
+# is twice the one before, so that sums of them bend at any speed between
+FALLS = (0.1, 0.2, 0.4)
+NUISANCE = 7 + len(FALLS)  # columns of each joint's own: constant, frictions, rotor
 
 
 # standard deviations of the sensor's noise: an observer with a larger error has lost the track
@@ -66,6 +69,16 @@ class Sums:
         out.counts = np.concatenate([self.counts, other.counts], axis=1)
         return out
 
+    def with_torque(self, x: Array) -> Sums:
+        """The sums with a torque in the recordings that the model lacks: coefficients of the
+        columns, (joints, width).
+        """
+        change = np.repeat(np.eye(x.shape[1] + 1)[None], len(x), axis=0)
+        change[:, :-1, -1] = -x
+        out = copy(self)
+        out.grams = np.einsum("jba,jkbc,jcd->jkad", change, self.grams, change, optimize=True)
+        return out
+
     @property
     def whole(self) -> Array:
         """Sum over the blocks, (joints, columns, columns)."""
@@ -96,7 +109,7 @@ def _columns(
     assert links is not None
     slow = limits.still * speed
     gain = per_joint(model.actuator.gain, record.joint, 1.0)
-    own = [np.ones(record.n), qd, np.tanh(qd / slow), np.tanh(qd / slow / 8), qd * np.abs(qd), qdd]
+    own = [np.ones(record.n), *_frictions(record, model, slow), qdd]
     torques = [*own, *_shared(links, j, model, record), -gain * record.command]
     torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
     damping = damping_along(record, model)
@@ -116,6 +129,18 @@ def _columns(
     if np.max(np.abs(left), initial=0.0) > LOST:
         moving[:] = False  # it has lost the track: this joint says nothing about bodies
     return np.concatenate([seen, left[None]]), moving
+
+
+def _frictions(record: JointRecord, model: Model, slow: float) -> list[Array]:
+    """Torques that span the friction of a joint, each odd in its own speed: viscous, dry, drag, the
+    falling friction of slow motion, and dry friction by load.
+    """
+    _, qd, qdd = record.motion.states
+    inertia, bias = record.inertia_and_bias(model)
+    dry = np.tanh(qd / slow)
+    fall = [dry * np.exp(-((qd / (part * record.scale.speed)) ** 2)) for part in FALLS]
+    load = np.abs(inertia * qdd + bias) * dry
+    return [qd, dry, np.tanh(qd / slow / 8), qd * np.abs(qd), *fall, load]
 
 
 def fastest_of(record: JointRecord) -> float:

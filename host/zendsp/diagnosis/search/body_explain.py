@@ -35,6 +35,8 @@ class Explained:
         The gain by joints.
     share : ndarray, shape (joints,)
         The part of the squared innovations left by ``nothing`` that it removes at each joint.
+    of_gain : ndarray, shape (p,), or None
+        The part of the standard deviations that comes from the gains of the drives, where known.
     """
 
     hypothesis: Hypothesis
@@ -45,6 +47,7 @@ class Explained:
     behind: float
     joints: Array
     share: Array
+    of_gain: Array | None = None
 
     def __repr__(self) -> str:
         numbers = ", ".join(

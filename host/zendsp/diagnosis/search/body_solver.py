@@ -17,7 +17,8 @@ Array = npt.NDArray[np.float64]
 
 class Solver:
     """Linear fits of hypotheses to the recordings of the fit, and their evidence on those to choose
-    by.
+    by. There the nuisance is fitted again, for any hypothesis and for none: only the numbers of the
+    hypothesis are predicted.
 
     ``origin``: coefficients of the part of a hypothesis that the model behind the sums has already.
     ``aside``: joints (1-based) with a fault of their own, whose gain and functions of position are
@@ -40,12 +41,11 @@ class Solver:
         whole, n = fit.whole, NUISANCE
         free = list(range(n) if rotors else range(n - 1))  # the last column is the rotor's
         own = list(range(layout.own, layout.width))
-        # (x, 1) with the best nuisance
-        self.complete = np.zeros((layout.joints, layout.width + 1, layout.width + 1 - n))
-        self.complete[:, n:] = np.eye(layout.width + 1 - n)
-        for j, g in enumerate(whole):
-            out = free + own if j + 1 in aside else free
-            self.complete[j, out] -= solve(g[np.ix_(out, out)], g[out, n:])
+        outs = [free + own if j + 1 in aside else free for j in range(layout.joints)]
+        self.complete = completed(whole, outs)
+        # friction between the speeds of the fit says little beyond them, and each recording has
+        # its own; a body has not
+        self.chosen = self.complete if choose is fit else completed(choose.whole, outs)
         self.rest = np.einsum(
             "jab,jac,jcd->jbd", self.complete, whole, self.complete, optimize=True
         )
@@ -59,12 +59,12 @@ class Solver:
             self.fit, self.choose, self.layout, self.limits, origin, self.aside, self.rotors
         )
 
-    def _full(self, x: Array) -> Array:
+    def _full(self, x: Array, complete: Array) -> Array:
         """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints,
         width + 1).
         """
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        return np.asarray(np.einsum("jab,jb->ja", self.complete, tail))
+        return np.asarray(np.einsum("jab,jb->ja", complete, tail))
 
     def _left(self, x: Array) -> Array:
         """The sum of squares that the fit leaves, per joint."""
@@ -191,7 +191,7 @@ class Solver:
         if not len(values):
             return np.zeros(0)
         x, jac = self._linear(h, values)
-        full, weight = self._full(x), self.counts / np.maximum(self._left(x), 1e-300)
+        full, weight = self._full(x, self.complete), self.counts / np.maximum(self._left(x), 1e-300)
         sense = np.einsum("jab,jbp->jap", self.complete[:, :, :-1], jac)
         force = np.einsum("jkab,jb->jka", self.fit.grams, full)
         scores = np.einsum("j,jap,jka->kp", weight, sense, force)
@@ -204,12 +204,12 @@ class Solver:
 
     def squares(self, x: Array) -> Array:
         """Squared innovations on the recordings to choose by, per joint."""
-        full = self._full(x)
+        full = self._full(x, self.chosen)
         return np.asarray(np.einsum("ja,jkab,jb->j", full, self.choose.grams, full))
 
     def points(self, x: Array) -> Array:
         """Deviance of the blocks to choose by, (joints, blocks)."""
-        full = self._full(x)
+        full = self._full(x, self.chosen)
         left = np.maximum(np.einsum("ja,jkab,jb->jk", full, self.choose.grams, full), 0.0)
         counts = self.choose.counts
         mean = left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1.0)
@@ -229,8 +229,8 @@ class Solver:
         where both lack something. With few informative blocks the spread is poorly known, and the
         ratio is Student's.
         """
-        full = self._full(x)
-        apart = self._full(other) - full
+        full = self._full(x, self.chosen)
+        apart = self._full(other, self.chosen) - full
         force = np.einsum("jkab,jb->jka", self.choose.grams, apart)
         weight = self.choose.counts.sum(axis=1) / np.maximum(self.squares(x), 1e-300)
         squares = np.einsum("j,jka,ja->k", weight, force, apart)
@@ -245,6 +245,19 @@ class Solver:
             normal((0.5 - mix) / max(error, 1e-9), whole**2 / float(squares @ squares)),
             float(gain.sum()) / max(spread(gain - gain.mean(), 1), 1e-9),
         )
+
+
+def completed(whole: Array, outs: list[list[int]]) -> Array:
+    """Matrices that add to coefficients, and the innovations' 1, those of the nuisance that leave
+    least, (joints, width + 1, width + 1 - NUISANCE). ``whole``: Gram matrices; ``outs``: the
+    nuisance columns of each joint.
+    """
+    width = whole.shape[1]
+    out = np.zeros((len(whole), width, width - NUISANCE))
+    out[:, NUISANCE:] = np.eye(width - NUISANCE)
+    for j, g in enumerate(whole):
+        out[j, outs[j]] -= solve(g[np.ix_(outs[j], outs[j])], g[outs[j], NUISANCE:])
+    return out
 
 
 def normal(t: float, blocks: float) -> float:

@@ -1,0 +1,107 @@
+"""The smallest bodies that recordings of an arm would have shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from small_arms import Arm, prepared, recorded, searched
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
+from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.report import summary
+from zendsp.diagnosis.search.body_columns import _frictions
+from zendsp.physics.model import Model
+from zendsp.physics.term_numbers import kernel_model
+
+LEFT = 0.002  # of the RMS torque of each joint: stays unexplained
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Model, list[Path]]]:
+    """``recorded`` in one folder."""
+    return partial(recorded, tmp_path_factory.mktemp("arms"))
+
+
+def least(made: tuple[Model, list[Path]], left: float = LEFT, claims: Any = ()) -> Any:
+    """Sizes by effect and joint."""
+    fit, choose = prepared(made)
+    decisions: Any = [SimpleNamespace(after=SimpleNamespace(value=left, often=0.0))] * 3
+    found = detectable_bodies(
+        Parts(fit, choose, choose), kernel_model(made[0]), decisions, claims, 1
+    )
+    return {(x.effect, x.joint): x for x in found}
+
+
+def test_a_payload_of_the_size_that_is_stated_is_found_and_a_tenth_of_it_is_not(record) -> None:  # type: ignore[no-untyped-def]
+    stated = least(record("none", Arm()))[("payload", 3)]
+    assert stated.mechanism == "inertia" and stated.unit == "kg" and 0.01 <= stated.share < 0.3
+    for part, name in ((1.0, "as_large"), (0.1, "a_tenth")):
+        made = record(name, Arm(mass=part * stated.size, com=(0.3, 0.1, 0.0)))
+        assert bool(searched(made).found) == (part == 1.0)
+
+
+def test_a_tilt_and_links_masses_are_stated_where_some_joint_feels_them(record) -> None:  # type: ignore[no-untyped-def]
+    stated = least(record("none", Arm()))
+    assert {key for key in stated if key[0] == "base_tilt"} == {("base_tilt", 1)}
+    assert stated["base_tilt", 1].unit == "rad" and stated["base_tilt", 1].size < 0.1
+    # the first link turns about the vertical on the axis, and its mass is felt by nothing
+    assert ("body", 1) not in stated and ("body", 2) in stated
+    tilted = record("tilted", Arm(tilt=stated["base_tilt", 1].size))
+    assert [f.term.effect for f in searched(tilted).found] == ["base_tilt"]
+
+
+def test_only_what_is_larger_than_the_unexplained_torque_would_be_found(record) -> None:  # type: ignore[no-untyped-def]
+    made = record("none", Arm())
+    little, much = (least(made, left)["payload", 3].size for left in (LEFT, 20 * LEFT))
+    assert much > 1.5 * little
+
+
+def test_a_body_that_was_found_is_not_told_as_missed(record) -> None:  # type: ignore[no-untyped-def]
+    term = SimpleNamespace(effect="payload", joint=3)
+    claim = SimpleNamespace(found=SimpleNamespace(term=term))
+    assert ("payload", 3) not in least(record("none", Arm()), claims=[claim])
+
+
+def test_the_summary_tells_the_largest_body_of_each_kind_that_may_have_been_missed() -> None:
+    ripple = Detectable(1, "position_torque", "ripple", 0.1, "N m", 0.2)
+    light = Detectable(3, "inertia", "body", 0.2, "kg", 0.01)
+    bodies = [light, replace(light, joint=2, size=0.4), replace(light, effect="payload", size=0.1)]
+    told = summary._missed([*[replace(ripple, joint=j) for j in range(1, 6)], *bodies])
+    assert "body below 0.4 kg (joint 2)" in told and "payload below 0.1 kg (joint 3)" in told
+    assert told.count("ripple") == 3 and told.endswith("and 3 smaller ones")
+
+
+@pytest.mark.parametrize("fallen", [0.1, 0.15, 0.2])  # of the RMS speed
+def test_frictions_beside_a_body_fall_with_the_speed(record, fallen: float) -> None:  # type: ignore[no-untyped-def]
+    """Beside a straight line of friction a link 10 % heavier was not seen."""
+    fit, _ = prepared(record("none", Arm()))
+    joint, speed = fit.records[0][1], fit.records[0][1].scale.speed
+    qd = joint.motion.states[1]
+    moves = np.abs(qd) > 0.05 * speed
+    falling = np.sign(qd) * np.exp(-((qd / (fallen * speed)) ** 2))
+    columns = np.stack(_frictions(joint, kernel_model(record("none", Arm())[0]), 0.05 * speed))
+    left = {}
+    for name, span in (("all", columns), ("dry, viscous and drag", columns[:4])):
+        found = np.linalg.lstsq(span[:, moves].T, falling[moves])[0]
+        left[name] = float(np.linalg.norm(falling[moves] - found @ span[:, moves]))
+    assert left["all"] < 0.1 * np.linalg.norm(falling[moves])
+    assert left["all"] < 0.4 * left["dry, viscous and drag"]
+
+
+def test_a_friction_beside_a_body_grows_with_the_load(record) -> None:  # type: ignore[no-untyped-def]
+    model, paths = record("none", Arm())
+    fit, _ = prepared((model, paths))
+    joint, speed = fit.records[0][1], fit.records[0][1].scale.speed
+    load = _frictions(joint, kernel_model(model), 0.05 * speed)[-1]
+    inertia, bias = joint.inertia_and_bias(kernel_model(model))
+    fast = np.abs(joint.motion.states[1]) > 0.2 * speed
+    torque = np.abs(inertia * joint.motion.states[2] + bias) * np.sign(joint.motion.states[1])
+    assert np.allclose(load[fast], torque[fast], rtol=1e-3)
