@@ -275,7 +275,7 @@ def _numbers(
 ) -> dict[str, Estimate]:
     """The numbers of a law; ``alone``: from the recordings of the fit only."""
     joint = decision.joint
-    left = 0.0 if alone else decision.after.value / max(claim.size, 1e-300)
+    left = 0.0 if alone else decision.state.size / max(claim.size, 1e-300)
     record = None if alone else whole.data.records[0][joint - 1]
 
     def of(fit: Fit) -> dict[str, Estimate]:
