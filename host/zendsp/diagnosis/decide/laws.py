@@ -40,6 +40,7 @@ from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     BEHIND,
+    BY_CHANCE,
     CURVE,
     LAW_ERROR,
     OF_STATE,
@@ -469,8 +470,13 @@ def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], 
 
 
 def _surely_more(left: Structure, allowed: float) -> bool:
-    """Whether the remaining torque has more energy than allowed, by two standard deviations."""
-    return left.size > allowed and left.z * (1.0 - (allowed / left.size) ** 2) > PLAIN
+    """Whether the remaining torque has more energy than allowed, by two standard deviations. One
+    that acts seldom gains in few blocks, but not by chance.
+    """
+    if left.size <= allowed:
+        return False
+    more = 1.0 - (allowed / left.size) ** 2
+    return left.z * more > PLAIN or left.apart * more > BY_CHANCE
 
 
 def _ranked(
