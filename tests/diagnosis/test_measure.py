@@ -34,6 +34,7 @@ from zendsp.diagnosis.measure.discrepancy import BANDS, at_reversals, deviation,
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.wandering import wanders
 from zendsp.diagnosis.measure.where import mismatch
 from zendsp.physics.calibration.covariance import robust_covariance
 from zendsp.physics.calibration.fit import Data, Fit, block_count, fit, joint_handles
@@ -362,6 +363,19 @@ def test_intervals_hold_the_truth_where_a_random_torque_lasts_longer_than_a_bloc
         std = with_lasting_torque(data, fitted, (1,)).std
         held.append(np.abs(x - truth) < 1.645 * std)
     assert 0.8 < np.mean(held) < 0.97
+
+
+@pytest.mark.parametrize("what", ["nothing", "friction", "torque"])
+def test_a_friction_whose_level_wanders_is_told_from_a_torque_that_does(what: str) -> None:
+    """As its own heat makes it wander: a law over time says the same of every recording."""
+    columns = reality.simulate(reality.Machine(), reality.multisine(16.0, RATE, 3), RATE)
+    speed = np.gradient(np.convolve(columns["q"], np.ones(9) / 9, "same"), columns["t"])
+    level = 0.006 * np.sin(2 * np.pi * columns["t"] / 9)
+    added = {"nothing": 0.0, "friction": level * np.tanh(speed / 0.05), "torque": level}[what]
+    model = model_of(VISCOUS, COULOMB)
+    data = data_of({**columns, "u": columns["u"] + added}, model)
+    found = wanders(data, calibrate_joint(data, model, 1).model, 1)
+    assert (found.z > SURE and found.size > 0.01) is (what == "friction")
 
 
 @pytest.mark.parametrize("soft", [False, True])
