@@ -200,7 +200,7 @@ def test_no_torque_gain_within_half_a_percent_is_named(ratio: float, small: bool
     rival: Any = SimpleNamespace(scored=SimpleNamespace(model=SimpleNamespace(terms=(gain,))))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("zendsp.diagnosis.search.rounds.facts", lambda _: None)
-        assert Rounds._too_small(rounds, rival, gain) is small
+        assert Rounds.too_small(rounds, rival, gain) is small
 
 
 @pytest.mark.parametrize(("unseen", "found"), [(0.0, True), (1.0, False)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,12 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
+from made_claims import claim_of, of_one_claim
 
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.findings import estimates, sentence
 from zendsp.diagnosis.decide.naming import (
+    _numbers,
     _same,
     between,
     may_be_nothing,
@@ -26,6 +29,7 @@ from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load, _l
 from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.engine import _ready
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
+from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.files.model_file import load_model
@@ -91,6 +95,28 @@ def test_uncertainties_include_errors_that_do_not_shrink_with_a_longer_recording
     assert std("delay", "time", 5e-3, record=record) == pytest.approx(1e-4, rel=0.01)
     # a phase that drifts by 0.15 over half a radian of travel
     assert std("ripple", "order", 7.0, record=record, left=0.5) == pytest.approx(0.3, rel=0.01)
+
+
+@pytest.mark.parametrize(("of_state", "relative"), [(0.0, 3.6e-3), (0.005, 0.15)])
+def test_what_stays_unexplained_widens_an_interval_only_as_a_function_of_the_state(
+    of_state: float, relative: float
+) -> None:
+    """What is random is in the statistics: counted twice, it made intervals 2.3 times too wide."""
+    term = Term("quadratic_drag", 1, {"coefficient": Quantity(2.0)})
+    given = Model("bench", 1e-3, "rotary", {}, ())
+    exact = Fit(
+        given.with_terms((term,)), (Handle("term", 0, "coefficient"),), np.array([2.0]),
+        np.full((1, 1), 1e-20), 0.0, (False,), np.empty((0, 1)), np.empty(0),
+    )  # fmt: skip
+    record = SimpleNamespace(sample_time=1e-3, scale=SimpleNamespace(position=0.5))
+    whole: Any = SimpleNamespace(agreed={1: exact}, data=SimpleNamespace(records=[[record]]))
+    claim = claim_of(term, 0.01)
+    base: Any = SimpleNamespace(model=given.with_terms((term,)))
+    decision = replace(
+        of_one_claim(claim, 0.02, 0.01, base), state=Structure(of_state, 0.5, 5.0)
+    )
+    found = _numbers(given, decision, whole, claim)["coefficient"]
+    assert found.std == pytest.approx(relative * 2.0, rel=0.01)
 
 
 def test_only_the_coupling_indistinguishable_from_zero_is_removed(fit: Fit) -> None:

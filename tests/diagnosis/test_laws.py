@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
-from made_claims import claim_of, of_one_claim
+from made_claims import claim_of, of_one_claim, piece
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
@@ -161,6 +161,29 @@ def test_how_a_known_friction_behaves_at_reversals_is_no_missing_mechanism(
 def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, much: bool) -> None:
     """5 % are allowed; the evidence is that for what exceeds them."""
     assert laws._surely_more(Structure(size, 0.5, z), 0.05) is much
+
+
+def test_a_law_leaves_too_much_where_that_acts_seldom_and_not_by_chance() -> None:
+    """A bump at one place and speed had left a friction over the position all of its size, in so
+    few blocks that they were 1.4 deviations; 11 by chance, with the torque shifted in time.
+    """
+    assert laws._surely_more(Structure(0.1, 0.3, 1.4, apart=11.4), 0.05)
+    assert not laws._surely_more(Structure(0.1, 0.3, 1.4, apart=4.0), 0.05)
+
+
+@pytest.mark.parametrize(
+    ("effect", "left", "refuted"),
+    [("friction_drift", 0.006, True), ("friction_drift", 0.0005, False), ("coulomb", 0.006, False)],
+)
+def test_a_law_over_time_is_refuted_by_a_friction_that_wanders_in_each_recording_by_itself(
+    monkeypatch: pytest.MonkeyPatch, effect: str, left: float, refuted: bool
+) -> None:
+    """Dry friction that its own heat takes away was a drift, 34 and 45 % sure, beside half of it.
+    """
+    monkeypatch.setattr(laws, "wanders", lambda *_: Structure(left, 0.0, 3.4))
+    nothing: Any = SimpleNamespace(model=None, test=None)
+    judge = laws._Judge(nothing, nothing, nothing, (), 1, Size(0.007, 0.006, 0.009), 0.0, ())
+    assert judge._wanders(piece(0.011, 5.0, 40.0, effect)) is refuted
 
 
 def test_calibration_that_makes_untouched_recordings_worse_is_reported() -> None:

@@ -12,7 +12,7 @@ from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.search.screen import Screen, phase_of
-from zendsp.physics.calibration.fit import fit, joint_handles
+from zendsp.physics.calibration.fit import fit, joint_handles, residual
 from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import grid_of, make_term
 from zendsp.physics.effects import get_effect, library
@@ -35,6 +35,24 @@ def test_the_screen_ignores_samples_where_friction_holds_the_joint() -> None:
         still = np.abs(data.records[0][0].motion.states[1]) < 0.1 * screen.floors[0]
         assert np.mean(still) > 0.3
         assert np.max(screen.free[0][still]) <= share
+
+
+def test_the_screen_expects_of_an_eccentric_encoder_what_a_prediction_shows() -> None:
+    """A prediction begins where the sensor says what it said, so a screen begins there too. A jump
+    of 800 counts at the first row had hidden the rest, and a gear's error was named in its place.
+    """
+    model = model_of(VISCOUS, COULOMB)
+    columns = reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 3), RATE)
+    data = data_of(columns, model)
+    fitted = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=1)
+    term = make_term(
+        get_effect("encoder_eccentricity"), 1, {"amplitude": 1e-3, "phase": 1.0}
+    )
+    expected = Screen(data, fitted, 1, (1,)).series([(term,)])[0]
+    more = fitted.model.with_terms((*fitted.model.terms, term))
+    shown = residual(data, more, (1,)) - residual(data, fitted.model, (1,))
+    assert np.linalg.norm(shown - expected) < 0.2 * np.linalg.norm(shown)
+    assert abs(expected[0]) < 0.01 * np.max(np.abs(expected))
 
 
 @pytest.mark.parametrize(

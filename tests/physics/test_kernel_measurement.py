@@ -90,6 +90,17 @@ def test_a_harmonic_of_the_sensor_acts_on_the_measurement_only() -> None:
     assert np.max(np.abs(got - (true + seen))) < 0.01 * np.ptp(seen)
 
 
+def test_a_prediction_begins_where_the_sensor_would_say_what_it_said() -> None:
+    """It had begun there without the sensor's error: 0.014 rad beside it, and 68 deviations."""
+    true = rigid(lambda *_: 0.0)
+    seen = true + 0.03 * np.sin(true + 0.5)
+    term = {"kind": "encoder_eccentricity", "joint": 1, "amplitude": 0.03, "phase": 0.5}
+    model, record = recorded(seen, [term])
+    record.motion.states[:, 0] = seen[0], 0.0, 0.0
+    off = run(record, model, 16.0, inner=2).innovations / record.gains(16.0)[2]
+    assert np.max(np.abs(off)) < 1e-3 * abs(seen[0] - true[0])
+
+
 @pytest.mark.parametrize(("late", "size"), [(0.03, 0.0), (0.0, 0.03)])
 def test_a_free_run_that_begins_in_the_middle_knows_what_the_sensor_makes_of_the_state(
     late: float, size: float

@@ -40,6 +40,7 @@ from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     BEHIND,
+    BY_CHANCE,
     CURVE,
     LAW_ERROR,
     OF_STATE,
@@ -57,6 +58,7 @@ from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.wandering import wanders
 from zendsp.diagnosis.progress import Progress
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
@@ -204,6 +206,9 @@ class _Judge:
                 "laws that are no harmonics of one, or not told apart, draw a curve": (
                     of_position and is_curve(ranked, travel)
                 ),
+                "the level of its friction changes with time otherwise than it says": (
+                    self._wanders(first)
+                ),
                 "the travel shows no whole period of it": (
                     part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
                 ),
@@ -222,6 +227,16 @@ class _Judge:
         return math.hypot(*again) > allowed or (
             left is not None and self.after.high > least and _surely_more(left, least)
         )
+
+    def _wanders(self, first: Piece) -> bool:
+        """Whether a law over time leaves a friction that changes with time in each recording by
+        itself. (Its other variables do not show that: the friction's sum over time is right.)
+        """
+        law = get_effect(first.terms[0].effect)
+        if law.over != "time" or first.mechanism not in FRICTION:
+            return False
+        left = wanders(self.parts.test, self.final.model, self.joint)
+        return _surely_more(left, max(may_leave(first), SIMULATORS_DIFFER))
 
     def _bends_what_it_stands_on(self, first: Piece) -> bool:
         return (bool(self.bent) and first.mechanism in FRICTION) or (
@@ -469,8 +484,13 @@ def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], 
 
 
 def _surely_more(left: Structure, allowed: float) -> bool:
-    """Whether the remaining torque has more energy than allowed, by two standard deviations."""
-    return left.size > allowed and left.z * (1.0 - (allowed / left.size) ** 2) > PLAIN
+    """Whether the remaining torque has more energy than allowed, by two standard deviations. One
+    that acts seldom gains in few blocks, but not by chance.
+    """
+    if left.size <= allowed:
+        return False
+    more = 1.0 - (allowed / left.size) ** 2
+    return left.z * more > PLAIN or left.apart * more > BY_CHANCE
 
 
 def _ranked(

@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.contract import WORDS, Further, Rejected, listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
-from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence, waves
+from zendsp.diagnosis.decide.findings import UNLIKE, estimates, new_terms, percent, sentence, waves
 from zendsp.diagnosis.decide.patchwork import both_needed, draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
@@ -275,7 +275,8 @@ def _numbers(
 ) -> dict[str, Estimate]:
     """The numbers of a law; ``alone``: from the recordings of the fit only."""
     joint = decision.joint
-    left = 0.0 if alone else decision.after.value / max(claim.size, 1e-300)
+    other = min(decision.after.value, UNLIKE * claim.size)
+    left = 0.0 if alone else math.hypot(decision.state.size, other) / max(claim.size, 1e-300)
     record = None if alone else whole.data.records[0][joint - 1]
 
     def of(fit: Fit) -> dict[str, Estimate]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 import numpy.typing as npt
@@ -65,7 +66,9 @@ def law_of(
         or not (contains(r, term) or _beside_a_number(given, final, first, r))
     ]
     scores = _scores(parts, joint, final, term, every)
-    instead = _likelier(final, every, scores)
+    # a gain too small for a search may be the truth, but takes no other law's place
+    large = [all(not rounds.too_small(r, t) for t in r.terms) for r in every]
+    instead = _likelier(final, [*compress(every, large)], scores[[True, *large]])
     other = [r.effect != term.effect for r in every]
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
     weights = _weights(scores)

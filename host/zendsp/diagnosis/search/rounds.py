@@ -216,7 +216,11 @@ class Rounds:
         rivals = [
             r
             for r in (*full, *self._bare(full), *others)
-            if not any(vanishes(r.scored.fit, t) or self._too_small(r, t) for t in r.terms)
+            if not any(
+                # as a stand-in it may be smaller than a search takes
+                vanishes(r.scored.fit, t) or (not only and self.too_small(r, t))
+                for t in r.terms
+            )
             and self._possible(r)
         ]
         rivals.sort(key=lambda r: r.value)
@@ -328,7 +332,7 @@ class Rounds:
         best = sorted(zip(gains, range(len(rivals)), strict=True), reverse=True)[:PROMISED]
         return [rivals[i] for gain, i in best if gain > WAIT]
 
-    def _too_small(self, rival: Rival, term: Term) -> bool:
+    def too_small(self, rival: Rival, term: Term) -> bool:
         """Whether a term is below the least size that its effect says a recording can show."""
         least = get_effect(term.effect).least
         if least is None:

@@ -177,6 +177,7 @@ class Screen:
             self.dampings[i],
             columns,
             on_sensor=on_sensor,
+            unseen=True,
         )
 
     def groups(self, columns: Array, each: int) -> Iterator[tuple[float, Array]]:

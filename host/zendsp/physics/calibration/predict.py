@@ -431,13 +431,15 @@ def response(
     columns: npt.NDArray[np.floating[Any]],
     *,
     on_sensor: bool = False,
+    unseen: bool = False,
     then: tuple[Array, int] | None = None,
     rows: npt.NDArray[np.int32] | None = None,
 ) -> Array:
     """The first-order response of the weighted innovations to torque columns (m, n), doubles or
-    floats. ``on_sensor``: position columns instead. ``then``: a factor for each sample, (n,), and
-    the samples by which the result is shifted earlier, with zeros at its end. ``rows``: the wanted
-    samples, ascending, before that end; all by default.
+    floats. ``on_sensor``: position columns instead; ``unseen``: where the prediction begins, the
+    sensor says with them what it said. ``then``: a factor for each sample, (n,), and the samples by
+    which the result is shifted earlier, with zeros at its end. ``rows``: the wanted samples,
+    ascending, before that end; all by default.
     """
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi
@@ -457,7 +459,7 @@ def response(
         len(columns),
         ffi.cast("void *", ffi.from_buffer(columns)),
         int(columns.dtype == np.float32),
-        int(on_sensor),
+        2 if on_sensor and unseen else int(on_sensor),
         ffi.NULL if then is None else p(then[0]),
         0 if then is None else then[1],
         ffi.NULL if rows is None else ffi.cast("int *", ffi.from_buffer(rows)),

@@ -259,9 +259,10 @@ void zk_sense(const zk_model *M, const double *q, double *out)
 }
 /* What added torque columns d (cols x n; floats where single is 1) do to the innovations, to first
  * order: the observer's error dynamics, out (cols x n). meas: columns act on the measurement
- * instead. per: what each innovation is multiplied by (n), or null; lag: samples by which out is
- * earlier, its end 0. rows: the samples of out that are wanted, ascending, below n - lag, so that
- * out is (cols x wanted); null: all. */
+ * instead; 2: and not at first, where the prediction begins as the sensor says. per: what each
+ * innovation is multiplied by (n), or null; lag: samples by which out is earlier, its end 0. rows:
+ * the samples of out that are wanted, ascending, below n - lag, so that out is (cols x wanted);
+ * null: all. */
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w,
                const double *e_active, const double *inertia, const double *damp, int cols,
                const void *d, int single, int meas, const double *per, int lag, const int *rows,
@@ -281,6 +282,10 @@ void zk_filter(int n, double T, const double *k1, const double *k2, const double
                 for (int i = 0; i < here; i++)
                     in[i][c] = single ? (double)fc[(size_t)c * n + begin + i]
                                       : dc[(size_t)c * n + begin + i];
+            for (int c = 0; c < some && begin == 0 && meas == 2; c++) {
+                q[c] = in[0][c];
+                v[c] = here > 1 ? (in[1][c] - in[0][c]) / T : 0.0;
+            }
             for (int i = 0; i < here; i++) {
                 const int k = begin + i;
                 const double on = w[k] > 0 && e_active[k] != 0.0 ? 1.0 : 0.0,

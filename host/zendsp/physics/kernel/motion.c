@@ -92,6 +92,35 @@ INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l, double hangs
     else X->ql[l] -= bent;
 }
 
+#define SIDE_Q (O->side ? X->ql[l] : X->q[l]) /* of the side that the sensor is on */
+
+INLINE void OF(look)(const OF(task) *O, OF(motion) *X)
+{
+    OF(lane) at;
+    EACH at[l] = O->filtered ? X->seen[l] : SIDE_Q;
+    OF(sense)(O->M, O->N, O->S, &at, (OF(lane) *)X->y);
+}
+
+/* Moved to where the sensor would say what it said first: it may err by many counts there. */
+INLINE void OF(begin_sensed)(const OF(task) *O, OF(motion) *X)
+{
+    OF(lane) off, e;
+    for (int i = 0; i < 4; i++) {
+        OF(look)(O, X);
+        EACH {
+            const double dq = O->M[l].q0 - X->y[l];
+            X->q[l] += dq; X->ql[l] += dq; X->seen[l] += dq;
+        }
+    }
+    OF(look)(O, X);
+    EACH off[l] = (O->filtered ? X->seen[l] : SIDE_Q) + 1e-5;
+    OF(sense)(O->M, O->N, O->S, &off, &e);
+    EACH {
+        const double slower = 1e-5 / (e[l] - X->y[l]);
+        X->qd[l] *= slower; X->qdl[l] *= slower;
+    }
+}
+
 INLINE void OF(begin)(const OF(task) *O, OF(motion) *X)
 {
     OF(lane) hangs = {0};
@@ -120,15 +149,7 @@ INLINE void OF(begin)(const OF(task) *O, OF(motion) *X)
         /* in a gap it may be anywhere */
         if (O->two_mass && !O->N->gapped) OF(begin_bent)(O, X, l, hangs[l]);
     }
-}
-
-#define SIDE_Q (O->side ? X->ql[l] : X->q[l]) /* of the side that the sensor is on */
-
-INLINE void OF(look)(const OF(task) *O, OF(motion) *X)
-{
-    OF(lane) at;
-    EACH at[l] = O->filtered ? X->seen[l] : SIDE_Q;
-    OF(sense)(O->M, O->N, O->S, &at, (OF(lane) *)X->y);
+    if (O->N->senses) OF(begin_sensed)(O, X);
 }
 
 /* A state of which the sensor would say what is recorded. */
