@@ -13,6 +13,7 @@ compared by their output (``blackbox``).
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -41,7 +42,7 @@ PASSED = 0.004
 # then had its torque within 0.03 %
 STATES_APART = 0.25
 STATE_TIMES = (0.005, 0.06)  # s: between them, at least and at most
-SLOW, FEWER = 5e-3, 3  # s for a state of a simulator; one that needs longer is asked at a third
+SLOW, FEWER = 0.02, 3  # s for a state of a simulator; one that needs longer is asked at a third
 # of the RMS torque; and of a free number. Torques were linear in both, to all digits that matter
 PUSHED, NUMBER_STEP = 0.5, 1e-3
 # of the answer to a push: rigid bodies differ by up to 0.4 % from themselves after twice the push,
@@ -143,7 +144,7 @@ class Called:
     known: dict[bytes, list[dict[str, Basis]]] = field(default_factory=dict)
     in_mass: dict[str, bool] = field(default_factory=dict)
     feels: dict[tuple[str, int], bool] = field(default_factory=dict)
-    seconds: float = 0.0  # a state takes, with its restart
+    seconds: float = math.inf  # a state takes, with its restart: the shortest, whatever else runs
     asked: int = 0  # states that the present motion needs
     begun: int = 0  # ``calls`` before it
 
@@ -407,7 +408,7 @@ class Called:
             parts += self.simulator.run(some, numbers)
             self.calls += len(some)
             self._progress()
-        self.seconds = (time.perf_counter() - began) / max(n, 1)
+        self.seconds = min(self.seconds, (time.perf_counter() - began) / max(n, 1))
         try:
             out = np.array(parts, dtype=np.float64)
         except ValueError:
