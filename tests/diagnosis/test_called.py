@@ -92,7 +92,8 @@ def motion(rows: int) -> State:
 
 def test_inertia_and_torque_of_a_simulator_are_those_of_its_equations() -> None:
     state = motion(400)
-    found = called().bases(list(np.stack([state.q, state.qd, state.qdd]).transpose(2, 0, 1)))
+    simulator = called()
+    found = simulator.bases(list(np.stack([state.q, state.qd, state.qdd]).transpose(2, 0, 1)))
     mass, rest = body(ARM, state.q, state.qd)
     torque = np.einsum("nij,nj->ni", mass, state.qdd) + rest
     for j, basis in enumerate(found):
@@ -108,6 +109,9 @@ def test_inertia_and_torque_of_a_simulator_are_those_of_its_equations() -> None:
     assert found[1]["b"].bias == pytest.approx(state.qd[:, 1], abs=5e-3 * 0.9 * 14)
     assert found[0]["a1"].inertia == pytest.approx(1.0, abs=1e-3)
     assert "a1" not in found[1] and "g1" not in found[1] and "b" not in found[0]
+    # no effect of the library is tried where a free number does the same
+    assert ("viscous", 2) in simulator.does and ("inertia", 1) in simulator.does
+    assert ("viscous", 1) not in simulator.does and ("inertia", 2) not in simulator.does
 
 
 def test_numbers_in_which_a_torque_is_not_linear_are_noticed_and_fitted() -> None:

@@ -13,6 +13,7 @@ compared by their output (``blackbox``).
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -41,7 +42,7 @@ PASSED = 0.004
 # then had its torque within 0.03 %
 STATES_APART = 0.25
 STATE_TIMES = (0.005, 0.06)  # s: between them, at least and at most
-SLOW, FEWER = 5e-3, 3  # s for a state of a simulator; one that needs longer is asked at a third
+SLOW, FEWER = 0.02, 3  # s for a state of a simulator; one that needs longer is asked at a third
 # of the RMS torque; and of a free number. Torques were linear in both, to all digits that matter
 PUSHED, NUMBER_STEP = 0.5, 1e-3
 # of the answer to a push: rigid bodies differ by up to 0.4 % from themselves after twice the push,
@@ -55,6 +56,9 @@ STATES_ASKED = 48  # at which a simulator is asked whether it is a rigid body
 BENT = 1e-3
 REVERSES = 0.1  # of the speed: slower is a reversal
 NOT_ITS_OWN = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
+# cosine of the torques of a number and of an effect: a viscosity's was 0.9995 in the impacts of a
+# backlash, beside which it had gone to 0, and a viscous friction was claimed in its place
+SAME_SHAPE = 0.999
 MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
 
 
@@ -129,6 +133,8 @@ class Called:
         Whether a number changes the mass matrix.
     feels : dict
         Whether a joint (from 0) feels a number.
+    does : set
+        Effects, each with its joint (from 1), that a free number is by another name.
     """
 
     model: Model
@@ -143,7 +149,8 @@ class Called:
     known: dict[bytes, list[dict[str, Basis]]] = field(default_factory=dict)
     in_mass: dict[str, bool] = field(default_factory=dict)
     feels: dict[tuple[str, int], bool] = field(default_factory=dict)
-    seconds: float = 0.0  # a state takes, with its restart
+    does: set[tuple[str, int]] = field(default_factory=set)
+    seconds: float = math.inf  # a state takes, with its restart: the shortest, whatever else runs
     asked: int = 0  # states that the present motion needs
     begun: int = 0  # ``calls`` before it
 
@@ -211,6 +218,7 @@ class Called:
         for j in range(self.joints):
             own = {k: (dm[:, j, j], dt[:, j]) for k, (dm, dt) in changes.items()}
             felt = {k: x for k, x in own.items() if self._feels(k, j, x[1], torque[:, j])}
+            self.does |= {(e, j + 1) for x in felt.values() for e in _alike_to(motion, j, *x)}
             out.append(_basis(motion.qdd[:, j], mass[:, j, j], torque[:, j], felt, self.about))
             fixed = out[-1]["fixed"]
             out[-1]["fixed"] = replace(fixed, slope=np.ascontiguousarray(slope[:, j]))
@@ -237,7 +245,7 @@ class Called:
         speed, change = (np.sqrt(np.mean(x**2, axis=0)) for x in (motion.qd, motion.qdd))
         apart = STATES_APART * float(np.min(speed / np.maximum(change, 1e-300)))
         apart = min(max(apart, STATE_TIMES[0]), STATE_TIMES[1])
-        slow = FEWER if self.seconds > SLOW else 1
+        slow = FEWER if SLOW < self.seconds < math.inf else 1
         return max(1, round(slow * apart / self.sample_time))
 
     def _near(self, at: State) -> Near:
@@ -351,6 +359,7 @@ class Called:
         self.model = model
         self.known.clear()
         self.feels.clear()
+        self.does.clear()
 
     def move_to(self, values: Mapping[str, float]) -> None:
         """Take torques as linear about other numbers."""
@@ -407,7 +416,7 @@ class Called:
             parts += self.simulator.run(some, numbers)
             self.calls += len(some)
             self._progress()
-        self.seconds = (time.perf_counter() - began) / max(n, 1)
+        self.seconds = min(self.seconds, (time.perf_counter() - began) / max(n, 1))
         try:
             out = np.array(parts, dtype=np.float64)
         except ValueError:
@@ -444,6 +453,21 @@ def _basis(
         bias -= values[key] * rest
         out[key] = Basis(np.ascontiguousarray(dm), np.ascontiguousarray(rest))
     return {"fixed": Basis(inertia, bias), **out}
+
+
+def _alike_to(motion: State, j: int, mass: Array, torque: Array) -> list[str]:
+    """The effects that have the torque (n,) of a number at a joint (from 0), by their names."""
+    qd, qdd = motion.qd[:, j], motion.qdd[:, j]
+    # not of position: a spring and gravity are alike in small motions, and can be told apart
+    shapes = {"torque_offset": np.ones_like(qd), "viscous": qd}
+    if np.any(mass):
+        shapes = {"inertia": qdd}
+    size = float(np.linalg.norm(torque))
+    return [
+        name
+        for name, shape in shapes.items()
+        if abs(float(shape @ torque)) > SAME_SHAPE * size * float(np.linalg.norm(shape))
+    ]
 
 
 def _times(mass: Array, x: Array) -> Array:

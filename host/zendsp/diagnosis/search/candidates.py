@@ -71,6 +71,8 @@ def screened(
 
 def _absorbed(effect: str, model: Model, joint: int) -> bool:
     """Whether a free parameter of the given model has the same effect."""
+    if model.called is not None and (effect, joint) in model.called.does:
+        return True
     items = [model.mechanism.get(key, ()) for key in get_effect(effect).same_as]
     return any(values[min(joint, len(values)) - 1].free for values in items if values)
 
