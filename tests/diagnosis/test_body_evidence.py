@@ -289,6 +289,28 @@ def test_what_other_numbers_of_a_found_body_explain_is_no_further_body() -> None
     assert not bodies._is_error_of((), [link, own], LIMITS)
 
 
+def test_slower_observers_are_asked_for_a_body_that_several_joints_show(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Behind 12 bits a payload at two joints had lost to two gains, of -48 and -34 %."""
+    asked: list[float] = []
+
+    def searched(*args: Any) -> bodies.BodySearch:
+        asked.append(args[5].bandwidth)
+        return bodies.BodySearch(args[2], beside=True)
+
+    monkeypatch.setattr(bodies, "_searched", searched)
+    monkeypatch.setattr(bodies, "Layout", lambda *_: None)
+    links = SimpleNamespace(bodies=[SimpleNamespace(parent=0)])
+    data: Any = SimpleNamespace(records=[[SimpleNamespace(links=links)]])
+    model: Any = None
+    bodies.find_bodies(data, data, model, 1, lambda _: None)
+    assert asked == [64.0, 32.0, 16.0, 8.0]
+    body = explained(2, "mass", cost=2.0, behind=0.0)
+    assert bodies._at_several(body, LIMITS)
+    assert not bodies._at_several(replace(body, share=np.array([0.0, 1.0, 0.1])), LIMITS)
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_where_mass_and_centre_of_a_payload_cannot_be_told_apart_its_moment_is_claimed(
     known: bool, monkeypatch: pytest.MonkeyPatch

@@ -77,7 +77,7 @@ class BodySearch:
     joints set aside for a fault of their own. ``instead``: the body that explains as much as the
     first of these faults, and that joint. ``small``: the best body, where it is too small a part of
     what the joints leave to be proposed, or as uncertain as the gains of all drives. ``beside``:
-    whether a body was seen before the first joint was set aside.
+    whether a body was seen at several joints before the first joint was set aside.
     """
 
     model: Model
@@ -188,7 +188,7 @@ def _searched(
         tell(Step.CALIBRATING.says("bodies: every hypothesis"))
         tried, aside, first = _round(to_fit, to_choose, layout, limits)
         best = tried[0]
-        seen_first = seen_first or bool(first)
+        seen_first = seen_first or any(_at_several(e, limits) for e in first)
         own = next((e for e in first if _is_body(e, first[0], limits)), None)
         if not found and own is not None:
             own = refined(fit, choose, layout, own_mass(own, first, links, limits), limits, jobs)
@@ -289,6 +289,12 @@ def _is_body(one: Explained, best: Explained, limits: BodyLimits) -> bool:
     """Whether an explanation is a body that is clearly seen and predicts as well as the best."""
     h = one.hypothesis
     return h.effect in ("body", "payload") and seen(one, limits) and tied(one, best, limits)
+
+
+def _at_several(one: Explained, limits: BodyLimits) -> bool:
+    """Whether an explanation is a body that explains what several joints leave."""
+    joints = int(np.sum(one.share > limits.part))
+    return one.hypothesis.of_bodies and seen(one, limits) and joints > 1
 
 
 def _carried(one: Explained, limits: BodyLimits) -> bool:
