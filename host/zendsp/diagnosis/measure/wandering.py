@@ -14,7 +14,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
 )
-from zendsp.diagnosis.measure.structure import Structure, _splines, counted
+from zendsp.diagnosis.measure.structure import Structure, splines, counted
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
@@ -52,7 +52,7 @@ def wanders(data: Data, model: Model, joint: int) -> Structure:
 def _gain(record: JointRecord, model: Model, lack: Array, band: float) -> Array:
     """By how much a friction over time predicts better than a torque over time, (n,)."""
     time = np.arange(record.n) * record.sample_time
-    over = _splines(time / max(time[-1], 1e-300), max(4, round(float(time[-1]) / PIECE)))
+    over = splines(time / max(time[-1], 1e-300), max(4, round(float(time[-1]) / PIECE)))
     _, v, _ = record.motion.states
     fast = max(float(np.quantile(np.abs(v), 0.98)), 1e-300)
     direction = np.tanh(v / (SIGN * fast))
@@ -72,8 +72,10 @@ def _gain(record: JointRecord, model: Model, lack: Array, band: float) -> Array:
 
 
 def _fitted(columns: Array, lack: Array) -> Array:
+    """The numbers of the shapes (columns, n) that predict a torque (n,) best."""
     square = columns @ columns.T
     level = RIDGE * float(np.trace(square)) / len(square)
     if not level > 0.0:
         return np.zeros(len(columns))
-    return np.linalg.solve(square + level * np.eye(len(square)), columns @ lack)
+    found: Array = np.linalg.solve(square + level * np.eye(len(square)), columns @ lack)
+    return found
