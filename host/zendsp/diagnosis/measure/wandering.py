@@ -22,8 +22,8 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 
 PIECE = 2.5  # s of a spline over time: a friction that wanders takes seconds
-TURN = 1.0  # s: what is fitted to and what is predicted take turns
-RIDGE = 1e-3  # of the mean square of the shapes
+TURN_S = 1.0  # s: what is fitted to and what is predicted take turns
+SHRUNK = 1e-3  # of the mean square of the shapes
 SIGN = 0.02  # of a joint's speed, over which friction changes its sign
 
 
@@ -61,7 +61,7 @@ def _gain(record: JointRecord, model: Model, lack: Array, band: float) -> Array:
     use = np.zeros(record.n, bool)
     use[kept(record, band)] = True
     use &= counted(record, band, turning=False)
-    first = np.floor(time / TURN) % 2 == 0
+    first = np.floor(time / TURN_S) % 2 == 0
     errors = []
     for columns in (seen[: len(over)], seen):
         guess = np.zeros(record.n)
@@ -74,7 +74,7 @@ def _gain(record: JointRecord, model: Model, lack: Array, band: float) -> Array:
 def _fitted(columns: Array, lack: Array) -> Array:
     """The numbers of the shapes (columns, n) that predict a torque (n,) best."""
     square = columns @ columns.T
-    level = RIDGE * float(np.trace(square)) / len(square)
+    level = SHRUNK * float(np.trace(square)) / len(square)
     if not level > 0.0:
         return np.zeros(len(columns))
     found: Array = np.linalg.solve(square + level * np.eye(len(square)), columns @ lack)
