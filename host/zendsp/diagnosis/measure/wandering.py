@@ -14,7 +14,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
 )
-from zendsp.diagnosis.measure.structure import Structure, splines, counted
+from zendsp.diagnosis.measure.structure import Structure, counted, splines
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
