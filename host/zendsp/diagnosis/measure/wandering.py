@@ -77,5 +77,5 @@ def _fitted(columns: Array, lack: Array) -> Array:
     level = SHRUNK * float(np.trace(square)) / len(square)
     if not level > 0.0:
         return np.zeros(len(columns))
-    found: Array = np.linalg.solve(square + level * np.eye(len(square)), columns @ lack)
-    return found
+    found = np.linalg.solve(square + level * np.eye(len(square)), columns @ lack)
+    return np.asarray(found, float)
