@@ -44,7 +44,7 @@ SHIFTED = 0.5  # s: least shift that brings a torque to another time
 SLOWER = 0.1  # of the sampling rate: fastest swing that the recording shows
 
 
-def _splines(u: Array, count: int) -> Array:
+def splines(u: Array, count: int) -> Array:
     """Quadratic B-splines over [0, 1], (count, n), by the recurrence of de Boor (1972); importing
     scipy.interpolate would take longer than all of them.
     """
@@ -111,24 +111,24 @@ def shapes(
     sign = np.tanh(v / (0.02 * ranges.speed))
     fast = np.sqrt(np.clip(np.abs(v) / ranges.speed, 0.0, 1.0))
     if mechanism == "position_torque":
-        columns = [_splines(place, 14 * detail)]
+        columns = [splines(place, 14 * detail)]
         for other, limits in ranges.others.items():
             there = unit(rec[other - 1].motion.states[0], limits)
-            columns.append(_products(_splines(place, 5), _splines(there, 5)))
+            columns.append(_products(splines(place, 5), splines(there, 5)))
         return np.concatenate(columns)
     if mechanism == "dry_friction":
-        level = sign * _splines(fast, 6 * detail)
-        along = _products(sign * _splines(place, 8), _splines(fast, 3))
-        return np.concatenate([level, along, sign * _splines(place, 8 * detail)])
+        level = sign * splines(fast, 6 * detail)
+        along = _products(sign * splines(place, 8), splines(fast, 3))
+        return np.concatenate([level, along, sign * splines(place, 8 * detail)])
     if mechanism == "fluid_friction":
         w = np.clip(v / ranges.speed, -1, 1)
-        along = _products(np.stack([w * np.abs(w), w * w]), _splines(place, 8))
+        along = _products(np.stack([w * np.abs(w), w * w]), splines(place, 8))
         return np.concatenate([
-            _splines(0.5 + 0.5 * w, 8 * detail), along, w * _splines(place, 8 * detail)
+            splines(0.5 + 0.5 * w, 8 * detail), along, w * splines(place, 8 * detail)
         ])
     if mechanism == "actuator":
         command = unit(record.command, ranges.command)
-        return np.concatenate([_splines(command, 10 * detail), command * _splines(place, 6)])
+        return np.concatenate([splines(command, 10 * detail), command * splines(place, 6)])
     if mechanism == TAKEN:
         a = record.motion.states[2]
         inertia = a / max(float(np.std(a)), 1e-300)

@@ -14,7 +14,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
 )
-from zendsp.diagnosis.measure.structure import Structure, _splines, counted
+from zendsp.diagnosis.measure.structure import Structure, counted, splines
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
@@ -22,8 +22,8 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 
 PIECE = 2.5  # s of a spline over time: a friction that wanders takes seconds
-TURN = 1.0  # s: what is fitted to and what is predicted take turns
-RIDGE = 1e-3  # of the mean square of the shapes
+TURN_S = 1.0  # s: what is fitted to and what is predicted take turns
+SHRUNK = 1e-3  # of the mean square of the shapes
 SIGN = 0.02  # of a joint's speed, over which friction changes its sign
 
 
@@ -52,7 +52,7 @@ def wanders(data: Data, model: Model, joint: int) -> Structure:
 def _gain(record: JointRecord, model: Model, lack: Array, band: float) -> Array:
     """By how much a friction over time predicts better than a torque over time, (n,)."""
     time = np.arange(record.n) * record.sample_time
-    over = _splines(time / max(time[-1], 1e-300), max(4, round(float(time[-1]) / PIECE)))
+    over = splines(time / max(time[-1], 1e-300), max(4, round(float(time[-1]) / PIECE)))
     _, v, _ = record.motion.states
     fast = max(float(np.quantile(np.abs(v), 0.98)), 1e-300)
     direction = np.tanh(v / (SIGN * fast))
@@ -61,7 +61,7 @@ def _gain(record: JointRecord, model: Model, lack: Array, band: float) -> Array:
     use = np.zeros(record.n, bool)
     use[kept(record, band)] = True
     use &= counted(record, band, turning=False)
-    first = np.floor(time / TURN) % 2 == 0
+    first = np.floor(time / TURN_S) % 2 == 0
     errors = []
     for columns in (seen[: len(over)], seen):
         guess = np.zeros(record.n)
@@ -72,8 +72,10 @@ def _gain(record: JointRecord, model: Model, lack: Array, band: float) -> Array:
 
 
 def _fitted(columns: Array, lack: Array) -> Array:
+    """The numbers of the shapes (columns, n) that predict a torque (n,) best."""
     square = columns @ columns.T
-    level = RIDGE * float(np.trace(square)) / len(square)
+    level = SHRUNK * float(np.trace(square)) / len(square)
     if not level > 0.0:
         return np.zeros(len(columns))
-    return np.linalg.solve(square + level * np.eye(len(square)), columns @ lack)
+    found = np.linalg.solve(square + level * np.eye(len(square)), columns @ lack)
+    return np.asarray(found, float)
