@@ -221,6 +221,19 @@ def test_what_answers_late_or_starts_elsewhere_is_no_rigid_body(
     assert (found is not None) is body
 
 
+def test_a_function_that_needs_more_rows_is_no_rigid_body(tmp_path: Path) -> None:
+    class Long(Wheel):
+        def _one(self, r: Columns) -> Array:
+            if len(r["time"]) < 50:
+                raise ModelError("too short")
+            return super()._one(r)
+
+    train, test, file = files(tmp_path, reality.Machine(gravity=0.2))
+    model = load_model(file)
+    signals = read_divided([train], [test], model)[0]
+    assert rigid(signals, model, Long(0.0, False), lambda _: None) is None
+
+
 def test_progress_is_told_while_the_simulator_is_asked(tmp_path: Path) -> None:
     train, test, model = files(tmp_path, reality.Machine(gravity=0.2, coulomb=0.0))
     said: list[str] = []
