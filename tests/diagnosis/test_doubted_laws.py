@@ -89,6 +89,8 @@ def test_two_springs_with_one_neutral_point_are_one_hardening_spring(
     assert not patchwork.both_needed(final, plain, wave("ripple", 20.0, 0.01))
     late, slow = claim("delay", time=2e-3), claim("lag", time_constant=3e-3)
     assert patchwork.both_needed(final, late, slow)
+    unseen = replace(slow, evidence=Evidence(2.0, 0.9, np.zeros(1)), log_e=1.2)
+    assert not patchwork.both_needed(final, late, unseen), "a lag took 1 ms of a delay of 4 ms"
 
 
 def wave(effect: str, order: float, amplitude: float) -> Claim:

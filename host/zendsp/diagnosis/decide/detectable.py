@@ -141,6 +141,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
                 size = least, size[1] * least / size[0]
         parameter = effect.parameter(_key(effect))
         most = max(r.scale.of(parameter.size) for r in screen.records)
+        most *= NOT_SMALL if parameter.above else 1.0  # it acts upon another, and seldom
         if size[0] > (FIRST_ORDER if parameter.size == "time" else most):
             continue  # not seen although as large as all torque or travel, or beyond any fit
         unit = unit_of(

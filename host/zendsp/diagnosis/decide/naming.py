@@ -353,9 +353,11 @@ def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
     """The law fitted without the refinements of its own mechanism, which may have absorbed a part
     of its numbers; laws that every machine has stay. None where there are no refinements, where the
     law needs them, or where they are couplings from the same joint. A refinement stays if the law
-    would leave too much without it, and all stay where together they leave nothing.
+    would leave too much without it. All stay where together they leave nothing; but not a lag that
+    is not needed beside a delay, for which the two stand in for one another.
     """
     final, joint = decision.final, decision.joint
+    nothing_left = decision.after.value < SIMULATORS_DIFFER
     effect = get_effect(claim.effect)
     if effect.needs or effect.coupled or not any(claim is c for c in decision.claims):
         return None
@@ -366,8 +368,9 @@ def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
         and not (get_effect(r.effect).needs or get_effect(r.effect).common)
         and r.size < LEFT_BY_A_LAW * claim.size
         and not both_needed(final, claim, r)
+        and not (nothing_left and get_effect(r.effect).family != "timing")
     ]
-    if not beside or decision.after.value < SIMULATORS_DIFFER:
+    if not beside:
         return None
     model = final.model.with_terms(
         tuple(t for t in final.model.terms if not any(t is b for b in beside))
