@@ -83,7 +83,10 @@ def no_reference(d: Diagnosis) -> str:
         return open_ if d.nameless else "nothing is left open"
     if d.next_recording is None:
         return "no motion can be proposed for what is open"
-    by_hand = "the experiment that it names is set up by hand"
+    by_hand = (
+        "the experiment that it names is set up by hand; where that is a motion, 'zendsp reference'"
+        " plans one"
+    )
     return by_hand if d.next_recording.reference is None else ""
 
 
