@@ -237,6 +237,18 @@ def test_a_command_off_by_1000_at_all_joints_is_called_a_unit_error(
     assert "constant" not in str(refused.value)
 
 
+@pytest.mark.parametrize("rotary", [False, True])
+def test_of_a_joint_that_slides_millimetres_are_not_told_from_a_command_in_milli_units(
+    rotary: bool,
+) -> None:
+    # a head that said mm stood there; the current's said mA, and its numbers were in A
+    nothing: Any = SimpleNamespace(y=np.zeros(3), u=np.zeros(3), noise=np.zeros(3))
+    said = plausibility._mistakes(nothing, rotary, "A")[0][0]
+    assert ("if it stands there, the command is a thousandth" in said) is not rotary
+    assert ("A under a head that says mA" in said) is not rotary
+    assert ("degrees" if rotary else "'q [mm]'") in said
+
+
 @pytest.mark.parametrize("mistake", ["two runs glued", "the same run twice", "NaN", "gap"])
 def test_the_command_that_a_refusal_proposes_makes_acceptable_recordings(
     mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str],

@@ -21,6 +21,7 @@ from zendsp.diagnosis.transmission.claims import Claim
 from zendsp.diagnosis.transmission.findings import findings_of
 from zendsp.diagnosis.transmission.measured import (
     Measured,
+    in_figures,
     measured_transmissions,
     without_guesses,
 )
@@ -129,6 +130,17 @@ def test_a_claim_that_leaves_nothing_has_the_highest_confidence() -> None:
     claim = Claim("step", -2e-5, 1e-7, Evidence(9.0, 9.0, np.ones(9)), 9.0, size, left)
     found, _ = findings_of(None, model(), 1, 1.0, [claim], [], (0.0, 0.0))  # type: ignore[arg-type]
     assert found[0].confidence == SUREST
+
+
+def test_what_two_sensors_show_of_a_known_spring_has_its_unit_and_is_a_stiffness_too() -> None:
+    shown = Evidence(9.0, 9.0, np.ones(9))
+    spring, step = (
+        Claim(name, value, 1e-7, shown, 9.0, 1e-4, 0.0)
+        for name, value in (("spring", -5e-6), ("step", -2e-5))
+    )
+    said = in_figures([spring, step], "m/N")
+    assert said == "spring 5e-06 m/N, a stiffness of 2e+05, step 2e-05"
+    assert in_figures([], "m/N") == "nothing beyond it"
 
 
 def test_a_stiff_transmission_is_no_finding_and_the_detectable_compliance_is_reported() -> None:

@@ -144,6 +144,7 @@ def test_a_stribeck_term_alone_is_compensated_over_the_coulomb_level_of_its_mode
         and "Friction falls" in text
     )
     assert "comp_coulomb1" not in text
+    assert '"m/s", NO_MIN, NO_MAX, "speed over which dry friction' in text
 
 
 def test_joint_pd_takes_a_compensation_that_lies_beside_it() -> None:

@@ -88,6 +88,26 @@ def test_columns_are_grouped_into_joints_and_motor_and_load_sides_are_told_apart
     assert any("act on one another" in question for question in draft.questions)
 
 
+def test_a_set_point_and_a_following_error_are_no_position_in_german_either(
+    tmp_path: Path,
+) -> None:
+    one = recording()
+    columns = [T * 1e3, 1e3 * one["r"], 1e3 * (one["r"] - one["q"]), 1e3 * one["q"], 1e3 * one["q"]]
+    rows = np.column_stack([*columns, one["tau"]])
+    header = "Zeit [ms];Sollposition [mm];Schleppfehler [mm];Linearmaßstab [mm];" + (
+        "Istposition Motor [mm];Motorstrom [A]"
+    )
+    lines = [header, *(";".join(f"{x:.9f}".replace(".", ",") for x in row) for row in rows)]
+    (tmp_path / "fahrt.csv").write_text("\r\n".join(lines), encoding="cp1252")
+    draft = draft_model(read_table(tmp_path / "fahrt.csv"))
+    model = model_of(draft.text)
+    assert model.kind == "linear" and model.columns == {
+        "time": "Zeit", "position": "Istposition Motor", "command": "Motorstrom",
+        "reference": "Sollposition", "position_load": "Linearmaßstab",
+    }
+    assert draft.unused == ("Schleppfehler",)
+
+
 def test_each_joint_is_asked_about_and_the_gain_where_numbers_depend_on_it() -> None:
     one = recording()
     still = {"q2": np.sin(7.0 * T), "i2": np.where(T % 0.1 < 0.05, 1.0, -1.0)}
@@ -259,6 +279,23 @@ def test_a_column_without_a_number_is_named() -> None:
         ("exec_us", "us", ""),
         ("x", "N m", "command"),
         ("e", "", ""),
+        ("e", "rad", ""),
+        ("Schleppfehler", "mm", ""),
+        ("Istposition Motor", "mm", "position"),
+        ("Linearmaßstab", "mm", "position"),
+        ("Sollposition", "mm", "reference"),
+        ("Lageistwert", "", "position"),
+        ("Lagesollwert", "", "reference"),
+        ("Axis1.SetPos", "mm", "reference"),
+        ("Axis1.ActPos", "mm", "position"),
+        ("Axis1.ActVelo", "mm/s", "velocity"),
+        ("Motorstrom", "A", "current"),
+        ("Sollstrom", "A", "current"),
+        ("Istmoment", "N m", "command"),
+        ("Sollgeschwindigkeit", "mm/s", ""),
+        ("Istdrehzahl", "rpm", "velocity"),
+        ("Istbeschleunigung", "m/s^2", ""),
+        ("Motortemperatur", "°C", "temperature"),
     ],
 )
 def test_a_column_gets_the_role_that_its_name_and_unit_say(name: str, unit: str, role: str) -> None:

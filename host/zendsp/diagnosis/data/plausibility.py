@@ -239,8 +239,10 @@ def _mistakes(
     words = "degrees, not radians" if rotary else "millimetres, not metres"
     unit = "deg" if rotary else "mm"
     head = "write the unit in the column's head, as 'q"
+    # no inertia of a joint that slides tells millimetres from a command 1000 times too small
+    other = "" if rotary or not of else f"; or, if it stands there, {thousandfold(1e-3, of)}"
     of_units = [
-        (f"the position is in {words}: {head} [{unit}]'", (y / small, u, noise / small)),
+        (f"the position is in {words}: {head} [{unit}]'{other}", (y / small, u, noise / small)),
         (thousandfold(1e3, of), (y, u / 1e3, noise)),
         (thousandfold(1e-3, of), (y, u * 1e3, noise)),
     ]

@@ -83,7 +83,10 @@ def no_reference(d: Diagnosis) -> str:
         return open_ if d.nameless else "nothing is left open"
     if d.next_recording is None:
         return "no motion can be proposed for what is open"
-    by_hand = "the experiment that it names is set up by hand"
+    by_hand = (
+        "the experiment that it names is set up by hand; where that is a motion, 'zendsp reference'"
+        " plans one"
+    )
     return by_hand if d.next_recording.reference is None else ""
 
 
@@ -172,11 +175,18 @@ def _without_law(report: Report) -> set[tuple[int, str]]:
 
 def stands_for(report: Report) -> set[tuple[str, int]]:
     """Effect and joint of the terms of the improved model that may be compensated: those of
-    findings, and ripples among the refinements that describe a torque over position without a law.
-    Other refinements may be bent to anything: a friction could drive the joint, and a spring grows
-    without limit outside the recorded range.
+    findings, the Coulomb level of a found Stribeck curve, and ripples among the refinements that
+    describe a torque over position without a law. Other refinements may be bent to anything: a
+    friction could drive the joint, and a spring grows without limit outside the recorded range.
     """
     stand = {(f["effect"], f["joint"]) for f in report["findings"]}
+    # a breakaway is counted from zero, so the level to which the friction falls belongs to it
+    falls = {f["joint"] for f in report["findings"] if f["effect"] == "stribeck"}
+    stand |= {
+        ("coulomb", r["joint"])
+        for r in report["refinements"]
+        if r["effect"] == "coulomb" and r["joint"] in falls
+    }
     # the weight of a found inertia belongs to it
     weighs = (f["joint"] for f in report["findings"] if "weight" in f.get("details", {}))
     stand |= {("gravity", joint) for joint in weighs}

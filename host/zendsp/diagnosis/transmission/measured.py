@@ -102,9 +102,10 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         springs = [abs(c.value) for c in claims if c.name == "spring" and known_motor is None]
         notes.append(_in_words(model, joint, lag, springs))
     if known:
-        said = ", ".join(f"{c.name} {abs(c.value):.3g}" for c in claims) or "nothing beyond it"
+        said = in_figures(claims, compliance_unit(model, joint))
         notes.append(
-            f"joint {joint}: the model has {', '.join(known)} already; the two sensors show {said}"
+            f"joint {joint}: the model has {', '.join(known)} already; the two sensors show {said}."
+            " The model's own numbers are fitted to the position column alone"
         )
         return Measured(joint, notes=tuple(notes))
     load = load_behind(model, inertia, motor)
@@ -121,6 +122,16 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         )
     terms = helpful(parts, model, joint, terms, jobs)
     return Measured(joint, findings, terms, seen, tuple(notes))
+
+
+def in_figures(claims: Sequence[Claim], unit: str) -> str:
+    """What two sensors show, a spring by its compliance in ``unit`` and as a stiffness."""
+    said = []
+    for claim in claims:
+        size = abs(claim.value)
+        spring = f" {unit}, a stiffness of {1.0 / size:.3g}" if claim.name == "spring" else ""
+        said.append(f"{claim.name} {size:.3g}{spring}")
+    return ", ".join(said) or "nothing beyond it"
 
 
 def _in_time(raw: Sets, model: Model, band: float) -> tuple[float, list[Claim], Sets]:

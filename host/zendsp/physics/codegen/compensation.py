@@ -13,6 +13,7 @@ from zendsp.physics.codegen.terms import (
     declare,
     lines,
     sign_function,
+    sign_width,
     why_not,
 )
 from zendsp.physics.model import Actuator, Model, Term
@@ -52,7 +53,7 @@ def compensation(
         from if they are not given, and the Coulomb level under a Stribeck term whose Coulomb term
         is not among ``terms``.
     sign_speed : float
-        Initial value of ``comp_sign_speed``, rad/s: dry friction is compensated by tanh(qd /
+        Initial value of ``comp_sign_speed``, rad/s (m/s): dry friction is compensated by tanh(qd /
         comp_sign_speed); 0 is a hard sign.
 
     Returns
@@ -70,8 +71,9 @@ def compensation(
     """
     if model is not None:
         title = title or model.name
+        kinds = kinds or [model.joint_kind(j + 1) for j in range(model.joints)]
     made = _compensating(terms, kinds, actuator, model)
-    variables = [*_settings(sign_speed), *(v for line in made for v in line.variables)]
+    variables = [*_settings(sign_speed, kinds), *(v for line in made for v in line.variables)]
     defined, declared = declare(variables)
     notes = [f"   {text}" for text in sentences]
     notes += [
@@ -135,15 +137,12 @@ SHARE = "comp_share"
 SETTINGS = (SHARE, "comp_fade", "comp_limit", "comp_sign_speed")
 
 
-def _settings(sign_speed: float) -> list[Variable]:
+def _settings(sign_speed: float, kinds: Sequence[str]) -> list[Variable]:
     return [
         Variable(SHARE, 1.0, "", "part of the compensation that is added", 0.0, 1.0),
         Variable("comp_fade", 0.5, "s", "time in which it fades in or out", 0.0, 60.0),
         Variable("comp_limit", 0.5, "", "most that is added, part of the torque limit", 0.0, 1.0),
-        Variable(
-            "comp_sign_speed", sign_speed, "rad/s",
-            "speed over which dry friction changes its sign; 0: at once",
-        ),
+        sign_width("comp", sign_speed, kinds),
     ]
 
 

@@ -9,12 +9,12 @@ from zendsp.physics.codegen.rigid import rigid_code
 from zendsp.physics.codegen.terms import (
     SIGN_SPEED,
     Line,
-    Variable,
     c_comment,
     compensable,
     declare,
     lines,
     sign_function,
+    sign_width,
     why_not,
 )
 from zendsp.physics.model import Model
@@ -35,7 +35,7 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     ----------
     model : Model
     sign_speed : float
-        Initial value of ``model_sign_speed``, rad/s: dry friction is level · tanh(qd /
+        Initial value of ``model_sign_speed``, rad/s (m/s): dry friction is level · tanh(qd /
         model_sign_speed); 0 is a hard sign.
 
     Returns
@@ -60,12 +60,7 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     kinds = [model.joint_kind(j + 1) for j in range(n)]
     numbers, rigid, arrays, note = rigid_code(model)
     made = lines(kernel_model(model).terms, "model", kinds=kinds, actuator=model.actuator)
-    numbers += [
-        Variable(
-            "model_sign_speed", sign_speed, "rad/s",
-            "speed over which dry friction changes its sign; 0: at once",
-        )
-    ]
+    numbers.append(sign_width("model", sign_speed, kinds))
     numbers += [v for line in made for v in line.variables]
     defined, declared = declare(numbers)
     terms = own_terms(model.terms)  # bodies have entered the rigid body

@@ -32,6 +32,15 @@ class Variable:
     high: float = math.inf
 
 
+def sign_width(prefix: str, value: float, kinds: Sequence[str]) -> Variable:
+    """The speed over which dry friction changes its sign, for joints of these kinds."""
+    units = ["m/s" if kind == "linear" else "rad/s" for kind in kinds or ["rotary"]]
+    return Variable(
+        f"{prefix}_sign_speed", value, " or ".join(sorted(set(units), reverse=True)),
+        "speed over which dry friction changes its sign; 0: at once",
+    )
+
+
 @dataclass(frozen=True)
 class Line:
     """One term in C: ``expression`` of joint ``joint`` (from 0), over pos, vel, acc (arrays) and

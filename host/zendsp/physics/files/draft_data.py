@@ -30,7 +30,9 @@ MATTERS = 0.02  # share that gravity must add
 WHOLE = 0.02  # of a count: so near to a whole number of counts a turn is one
 FINE = 0.1  # of a count: where the count is known no better, any number would be whole
 ALIKE = 0.05  # two speeds that differ by less are the same in two units
-LOAD = ("load", "link", "output", "arm")  # words of a position behind a spring
+# words of a position behind a spring, and how German words of one begin or end
+LOAD = ("load", "link", "output", "arm", "scale", "abtrieb")
+LOAD_PARTS = re.compile(r"ma(?:ß|ss)stab$|^(?:last|abtriebs?|schlitten)(?:position|lage|winkel)")
 # of several columns that could be the command
 PREFERRED = ("tau", "torque", "effort", "force", "u")
 
@@ -114,7 +116,10 @@ def best_group(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> 
     some = [g for g in groups.get(role, []) if not joints or g.values.shape[1] == joints]
     if role is Role.POSITION:
         some = [g for g in some if not is_behind(g)] or some
-        return max(some, key=lambda g: g.values.shape[1], default=None)
+        # one that its name says before one of which only the unit does
+        return max(
+            some, key=lambda g: (g.values.shape[1], role_of(g.names[0]) is role), default=None
+        )
     rank = {word: k for k, word in enumerate(PREFERRED)}
 
     def unlikely(group: Group) -> tuple[bool, bool, int]:
@@ -161,7 +166,8 @@ def _longest(last: npt.NDArray[np.bool_]) -> slice:
 
 def is_behind(group: Group) -> bool:
     """Whether the first column's name says that it is the load's, behind the transmission."""
-    return bool({*LOAD} & set(re.findall(r"[a-z]+", group.names[0].lower())))
+    words = set(re.findall(r"[^\W\d_]+", group.names[0].lower()))
+    return bool({*LOAD} & words) or any(LOAD_PARTS.search(word) for word in words)
 
 
 def why_degrees(position: Group, velocity: Group | None, clock: Group | None) -> str:
