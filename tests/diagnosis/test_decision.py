@@ -153,17 +153,6 @@ def test_a_small_torque_that_throws_the_position_far_off_is_missing(
     assert decided(reality.Machine()).verdict == verdict
 
 
-@pytest.mark.usefixtures("searched_once")
-@pytest.mark.parametrize(("lacks", "verdict"), [(0.0008, "complete"), (0.002, "unexplained")])
-def test_what_only_the_fit_shows_is_missing_where_more_lacks_than_simulators_differ_by(
-    lacks: float, verdict: str, decided: Decided, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A complete arm of another engine lacked 0.08 % of a torque, and was not complete."""
-    monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(lacks, lacks, lacks))
-    monkeypatch.setattr(decision, "contradicted", lambda _: (("coulomb", 1),))
-    assert decided(reality.Machine()).verdict == verdict
-
-
 def test_commands_between_rows_by_a_faster_loop_are_not_missing_physics(tmp_path: Path) -> None:
     """The command is held more finely than it is recorded."""
 

@@ -55,7 +55,6 @@ from zendsp.diagnosis.decide.thresholds import (
     OF_STATE,
     PREDICTED,
     RUN_AWAY,
-    SIMULATORS_DIFFER,
     SURE,
     THROWN,
 )
@@ -92,8 +91,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         Receives a sentence at each stage.
     """
     out = _decided(parts, given, search, jobs, tell)
-    lacks = beyond(out.before.value, out.known.all) > SIMULATORS_DIFFER
-    if out.kind == Verdict.COMPLETE and lacks and (doubted := contradicted(out.lost)):
+    if out.kind == Verdict.COMPLETE and (doubted := contradicted(out.lost)):
         out = replace(out, kind=Verdict.UNEXPLAINED, doubted=doubted)
     turning = not rubs(search.base.model, search.joint)
     if lost(parts, search.base.model, search.joint):
