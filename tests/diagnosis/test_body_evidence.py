@@ -305,7 +305,7 @@ def test_slower_observers_are_asked_for_a_body_that_several_joints_show(
     data: Any = SimpleNamespace(records=[[SimpleNamespace(links=links)]])
     model: Any = None
     bodies.find_bodies(data, data, model, 1, lambda _: None)
-    assert asked == [64.0, 32.0, 16.0, 8.0]
+    assert asked == 2 * [64.0, 32.0, 16.0, 8.0]  # with a friction by load, and without
     body = explained(2, "mass", cost=2.0, behind=0.0)
     assert bodies._at_several(body, LIMITS)
     assert not bodies._at_several(replace(body, share=np.array([0.0, 1.0, 0.1])), LIMITS)

@@ -17,6 +17,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.report import summary
+from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.body_columns import _frictions
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import kernel_model
@@ -87,7 +88,8 @@ def test_frictions_beside_a_body_fall_with_the_speed(record, fallen: float) -> N
     qd = joint.motion.states[1]
     moves = np.abs(qd) > 0.05 * speed
     falling = np.sign(qd) * np.exp(-((qd / (fallen * speed)) ** 2))
-    columns = np.stack(_frictions(joint, kernel_model(record("none", Arm())[0]), 0.05 * speed))
+    model = kernel_model(record("none", Arm())[0])
+    columns = np.stack(_frictions(joint, model, 0.05 * speed, True))
     left = {}
     for name, span in (("all", columns), ("dry, viscous and drag", columns[:4])):
         found = np.linalg.lstsq(span[:, moves].T, falling[moves])[0]
@@ -100,8 +102,26 @@ def test_a_friction_beside_a_body_grows_with_the_load(record) -> None:  # type: 
     model, paths = record("none", Arm())
     fit, _ = prepared((model, paths))
     joint, speed = fit.records[0][1], fit.records[0][1].scale.speed
-    load = _frictions(joint, kernel_model(model), 0.05 * speed)[-1]
+    load = _frictions(joint, kernel_model(model), 0.05 * speed, True)[-1]
     inertia, bias = joint.inertia_and_bias(kernel_model(model))
     fast = np.abs(joint.motion.states[1]) > 0.2 * speed
     torque = np.abs(inertia * joint.motion.states[2] + bias) * np.sign(joint.motion.states[1])
     assert np.allclose(load[fast], torque[fast], rtol=1e-3)
+
+
+def test_a_body_is_looked_for_once_more_without_a_friction_that_grows_with_the_load(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 150 kg at the flange of a real arm nothing was found beside such a friction."""
+    asked: list[bool] = []
+
+    def searched(*given: Any) -> Any:
+        asked.append(given[5].by_load)
+        return SimpleNamespace(found=() if given[5].by_load else ("payload",))
+
+    monkeypatch.setattr(bodies, "_by_any_observer", searched)
+    links = SimpleNamespace(bodies=(SimpleNamespace(parent=0),))
+    data: Any = SimpleNamespace(records=((SimpleNamespace(links=links),),))
+    model: Any = None
+    found = bodies.find_bodies(data, data, model, 1, lambda _: None)
+    assert found.found == ("payload",) and asked == [True, False]

@@ -109,7 +109,7 @@ def _columns(
     assert links is not None
     slow = limits.still * speed
     gain = per_joint(model.actuator.gain, record.joint, 1.0)
-    own = [np.ones(record.n), *_frictions(record, model, slow), qdd]
+    own = [np.ones(record.n), *_frictions(record, model, slow, limits.by_load), qdd]
     torques = [*own, *_shared(links, j, model, record), -gain * record.command]
     torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
     damping = damping_along(record, model)
@@ -131,7 +131,9 @@ def _columns(
     return np.concatenate([seen, left[None]]), moving
 
 
-def _frictions(record: JointRecord, model: Model, slow: float) -> list[Array]:
+def _frictions(
+    record: JointRecord, model: Model, slow: float, by_load: bool
+) -> list[Array]:
     """Torques that span the friction of a joint, each odd in its own speed: viscous, dry, drag, the
     falling friction of slow motion, and dry friction by load.
     """
@@ -139,7 +141,7 @@ def _frictions(record: JointRecord, model: Model, slow: float) -> list[Array]:
     inertia, bias = record.inertia_and_bias(model)
     dry = np.tanh(qd / slow)
     fall = [dry * np.exp(-((qd / (part * record.scale.speed)) ** 2)) for part in FALLS]
-    load = np.abs(inertia * qdd + bias) * dry
+    load = np.abs(inertia * qdd + bias) * dry if by_load else np.zeros_like(dry)
     return [qd, dry, np.tanh(qd / slow / 8), qd * np.abs(qd), *fall, load]
 
 

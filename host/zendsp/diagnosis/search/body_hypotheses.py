@@ -25,6 +25,7 @@ class BodyLimits:
     # of the RMS speed: a slower joint may stick and says nothing about its load
     still: float = 0.05
     memory: float = 0.1  # s for which an observer remembers that a joint stuck
+    by_load: bool = True  # dry friction may grow with a joint's load
     # standard deviations over the blocks within which two explanations are as good
     tie: float = 2.5
     # the same for two sets of numbers of one link: too few numbers lead to faults of single joints
