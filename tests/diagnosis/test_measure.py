@@ -19,7 +19,6 @@ from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide import clocks
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.assemble import (
-    with_disagreement,
     with_slower_observer,
 )
 from zendsp.diagnosis.decide.clocks import apart_in_time
@@ -318,22 +317,6 @@ def test_no_pushes_are_claimed_below_the_torque_of_a_sticking_stribeck_friction(
     model = model_of(VISCOUS, COULOMB, falling)
     data = data_of(columns, model)
     assert (bursts(data, model, 1, data) is not None) is pushed
-
-
-def test_numbers_on_which_recordings_disagree_are_less_certain() -> None:
-    reference = reality.multisine(8.0, RATE, 3)
-    model = model_of(VISCOUS, COULOMB)
-    one, same, other = (
-        data_of(reality.simulate(reality.Machine(coulomb=level), reference, RATE, seed), model)
-        for level, seed in ((0.03, 1), (0.03, 2), (0.033, 3))
-    )
-    fitted = fit(one, model, joint_handles(one, model, 1), joints=(1,))
-    at = next(i for i, h in enumerate(fitted.handles) if h.key == "level")
-    agreed, apart = (
-        with_disagreement(one, held, fitted, (1,), 1).std[at] for held in (same, other)
-    )
-    assert agreed < 2.0 * fitted.std[at]
-    assert apart == pytest.approx(0.003 / np.sqrt(2), rel=0.1)
 
 
 @pytest.mark.parametrize("soft", [False, True])

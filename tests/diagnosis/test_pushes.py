@@ -18,7 +18,6 @@ from zendsp.diagnosis import Diagnosis, diagnose, machine
 from zendsp.diagnosis.decide import decide, pushes
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.naming import _disturbance, at_once
-from zendsp.diagnosis.measure import bursts as measure_bursts
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts
@@ -187,23 +186,6 @@ def test_a_push_through_most_of_the_test_data_allows_no_other_finding(
     d = decided(reality.Machine(push=(size, 3.0, 5.5)), again)
     assert [f.effect for f in d.findings] == ["disturbance"]
     assert d.unexplained == ""
-
-
-@pytest.mark.parametrize(("share", "either"), [(0.0, True), (0.1, True), (1.0, False)])
-def test_a_torque_that_acts_one_way_while_the_joint_moves_both_is_no_friction(
-    share: float, either: bool
-) -> None:
-    """A push of 5 % of a disk arm's torque, all of whose time is near reversals, had been taken for
-    its friction. ``share``: of a friction in the torque.
-    """
-    t = np.arange(2000) * 1e-3
-    speed = np.cos(2 * np.pi * 3.0 * t)
-    torque = (1.0 - share) + share * np.sign(speed)
-    record: Any = SimpleNamespace(motion=SimpleNamespace(states=np.stack([t, speed, t])))
-    data: Any = SimpleNamespace(records=[[record]])
-    of = measure_bursts._Lacking(data, (), (torque,), (), (), (slice(None),))
-    acting = measure_bursts._Acting(of, ((t > 0.5) & (t < 1.5),), 0.0)
-    assert measure_bursts._either_way(acting, 1) is either
 
 
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])

@@ -296,27 +296,6 @@ def test_the_compensation_has_the_numbers_of_the_sentence(refines: str, tmp_path
     assert f"comp_coulomb1_level, {0.4 if refines == 'hysteresis' else 0.31}," in code
 
 
-@pytest.mark.parametrize(("joint", "stands"), [(1, True), (2, False)])
-def test_the_level_to_which_a_found_friction_falls_is_compensated_too(
-    joint: int, stands: bool, tmp_path: Path
-) -> None:
-    # a gantry lacked 31 N at rest, 22 N in motion: the code had only the 9 N between them
-    curve = {"breakaway": Quantity(31.0), "velocity": Quantity(0.02), "exponent": Quantity(2.0)}
-    terms = (Term("coulomb", joint, {"level": Quantity(22.0)}), Term("stribeck", 1, curve))
-    kinds: Any = [{"effect": "stribeck", "joint": 1, "mechanism": "dry_friction"}]
-    level = {"effect": "coulomb", "joint": joint, "mechanism": "dry_friction"}
-    report: Any = {"findings": kinds, "refinements": [level]}
-    said = Finding("stribeck", 1, {}, 0.97, 1.0, (), (), "", mechanism="dry_friction")
-    model = Model("axis", None, "linear", {}, terms=terms)
-    d: Any = SimpleNamespace(
-        report=lambda: report, improved=model, findings=[said], refinements=[]
-    )
-    files._compensation(d, tmp_path)
-    code = (tmp_path / "compensation.c").read_text()
-    assert (f"comp_coulomb{joint}_level, 22.0" in code) is stands
-    assert ("What only refines the fit is left out (coulomb)" in code) is not stands
-
-
 def test_json_on_the_terminal_is_the_report(
     folder: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:

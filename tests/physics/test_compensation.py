@@ -4,13 +4,19 @@ what it leaves out.
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from benches import MODELS, STRICT, effect, every_effect, rotary, two_joints
 
+from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.report import files
 from zendsp.physics import compensation, load_model, simulate
 from zendsp.physics.codegen.terms import compensable
-from zendsp.physics.model import Actuator, Quantity, Term
+from zendsp.physics.model import Actuator, Model, Quantity, Term
 from zendsp.reference import Reference
 from zendsp_isr.build import source_root
 
@@ -200,3 +206,24 @@ def test_where_a_command_is_no_torque_the_compensation_says_by_what_to_divide() 
         terms, actuator=Actuator(gain=(0.8,), unit="A")
     )
     assert "divide" not in compensation(terms, actuator=Actuator())
+
+
+@pytest.mark.parametrize(("joint", "stands"), [(1, True), (2, False)])
+def test_the_level_to_which_a_found_friction_falls_is_compensated_too(
+    joint: int, stands: bool, tmp_path: Path
+) -> None:
+    # a gantry lacked 31 N at rest, 22 N in motion: the code had only the 9 N between them
+    curve = {"breakaway": Quantity(31.0), "velocity": Quantity(0.02), "exponent": Quantity(2.0)}
+    terms = (Term("coulomb", joint, {"level": Quantity(22.0)}), Term("stribeck", 1, curve))
+    kinds: Any = [{"effect": "stribeck", "joint": 1, "mechanism": "dry_friction"}]
+    level = {"effect": "coulomb", "joint": joint, "mechanism": "dry_friction"}
+    report: Any = {"findings": kinds, "refinements": [level]}
+    said = Finding("stribeck", 1, {}, 0.97, 1.0, (), (), "", mechanism="dry_friction")
+    model = Model("axis", None, "linear", {}, terms=terms)
+    d: Any = SimpleNamespace(
+        report=lambda: report, improved=model, findings=[said], refinements=[]
+    )
+    files._compensation(d, tmp_path)
+    code = (tmp_path / "compensation.c").read_text()
+    assert (f"comp_coulomb{joint}_level, 22.0" in code) is stands
+    assert ("What only refines the fit is left out (coulomb)" in code) is not stands
