@@ -116,10 +116,11 @@ def test_a_body_is_looked_for_once_more_without_a_friction_that_grows_with_the_l
     asked: list[bool] = []
 
     def searched(*given: Any) -> Any:
-        asked.append(given[5].by_load)
-        return SimpleNamespace(found=() if given[5].by_load else ("payload",))
+        asked.append(given[3].by_load)
+        return SimpleNamespace(found=() if given[3].by_load else ("payload",))
 
     monkeypatch.setattr(bodies, "_by_any_observer", searched)
+    monkeypatch.setattr(bodies, "Layout", lambda *_: None)
     links = SimpleNamespace(bodies=(SimpleNamespace(parent=0),))
     data: Any = SimpleNamespace(records=((SimpleNamespace(links=links),),))
     model: Any = None

@@ -13,7 +13,7 @@ inertia is exact.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -127,38 +127,33 @@ def find_bodies(
     # at a single joint a payload is an inertia and a gravity
     if links is None or all(b.parent < 0 for b in links.bodies):
         return BodySearch(model)
-    search = _by_any_observer(fit, choose, model, jobs, tell, limits, beside)
+    layout = Layout(model, links)
+
+    def searched(limits: BodyLimits) -> BodySearch:
+        return _searched(fit, choose, model, jobs, tell, limits, beside)
+
+    search = _by_any_observer(searched, choose, layout, limits)
     if search.found:
         return search
     # dry friction by the load that the model knows stands in for much of a heavy payload: of 150 kg
     # that an arm carried for 10 s nothing was found beside it
-    fewer = replace(limits, by_load=False)
-    other = _by_any_observer(fit, choose, model, jobs, tell, fewer, beside)
+    other = _by_any_observer(searched, choose, layout, replace(limits, by_load=False))
     return other if other.found else search
 
 
 def _by_any_observer(
-    fit: Data,
-    choose: Data,
-    model: Model,
-    jobs: int,
-    tell: Progress,
-    limits: BodyLimits,
-    beside: Sequence[Term],
+    searched: Callable[[BodyLimits], BodySearch], choose: Data, layout: Layout, limits: BodyLimits
 ) -> BodySearch:
-    """``find_bodies`` under fast observers, or under slower ones where fast ones see more of
-    something else.
+    """The search under fast observers, or under slower ones where fast ones see more of something
+    else.
     """
-    links = fit.records[0][0].links
-    assert links is not None
-    first = search = _searched(fit, choose, model, jobs, tell, limits, beside)
-    layout = Layout(model, links)
+    first = search = searched(limits)
     # behind coarse counts a drive's gain follows the command's noise too, a body only the motion
     while not search.found and (search.beside or _drowned(choose, layout, search.tried, limits)):
         limits = replace(limits, bandwidth=0.5 * limits.bandwidth)
         if limits.bandwidth < limits.slowest:
             return first
-        search = _searched(fit, choose, model, jobs, tell, limits, beside)
+        search = searched(limits)
     return search if search.found else first
 
 
