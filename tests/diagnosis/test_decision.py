@@ -52,7 +52,7 @@ def test_what_the_recordings_of_the_fit_surely_show_leaves_the_verdict_open(
     assert d.findings == ()
     assert d.verdict == d.report()["verdict"] == "unexplained", "a script reads no headline"
     assert d.doubted == (("ripple", 1),) and d.headline.startswith("Cannot tell: ")
-    assert "by far likelier with ripple" in d.unexplained
+    assert "only the recordings of the fit show ripple" in d.unexplained
 
 
 @pytest.mark.parametrize("held", [1, 0])
@@ -77,6 +77,7 @@ def test_the_tail_of_a_stribeck_curve_is_chosen(decided: Decided) -> None:
     d = decided(reality.Machine(breakaway=0.05, stribeck=0.4, tail=1.0))
     (found,) = d.findings
     assert found.effect == "stribeck" and found.parameters["exponent"].value == 1.0
+    assert " N m (coulomb)." in found.sentence.partition("It falls to ")[2]
     assert found.parameters["breakaway"].value == pytest.approx(0.05, rel=0.1)
 
 

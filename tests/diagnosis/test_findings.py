@@ -170,6 +170,7 @@ def test_held_out_is_the_last_third_of_the_motion_without_the_rest_at_its_end() 
         assert 1e-3 * (len(train[0].time) + len(test[0].time)) == pytest.approx(moves, rel=0.05)
         assert len(train[0].time) == pytest.approx(share * len(t), rel=0.05)
         assert "the last third of its motion" in notes[-1]
+        assert halves(test)[1][0].name == "swing (last part, to test on)"
         assert ("stands from" in notes[0]) is (moves < 20.0)
 
 
@@ -334,7 +335,7 @@ def test_a_log_is_called_late_only_where_the_final_model_keeps_the_shift(
     """
     late = Term("column_shift", 1, {"time": Quantity(4e-4)})
     none, has = (SimpleNamespace(at=lambda _, terms=t: terms) for t in ((), (late,)))
-    data = SimpleNamespace(records=((SimpleNamespace(sample_time=1e-3),),))
+    data = SimpleNamespace(records=(2 * (SimpleNamespace(sample_time=1e-3),),))
     final = SimpleNamespace(model=has if kept else none, data=data)
     claims = (SimpleNamespace(effect="column_shift"),) * claimed
     base = SimpleNamespace(model=has)
@@ -345,6 +346,8 @@ def test_a_log_is_called_late_only_where_the_final_model_keeps_the_shift(
         assert len(said) == (kept and not claimed)
         assert all("0.4 ms (0.4 rows) late" in note for note in said)
         assert all(note.endswith(end) for note in said), "four of four were physics that lacked"
+        other = SimpleNamespace(**(vars(decision) | {"joint": 2}))
+        assert len(_late_log([decision, other], given)) == len(said), "one log, not one a joint"
 
 
 def test_a_joint_without_data_to_choose_by_adds_nothing_to_the_cost(

@@ -232,4 +232,4 @@ def test_what_only_the_recordings_of_the_fit_show_leaves_a_joint_open(
     assert found.kind == ("unexplained" if open_ else "complete")
     fit: Any = None
     said = left_over([found], model_of(), fit)
-    assert ("by far likelier with delay" in said) is open_
+    assert ("only the recordings of the fit show delay" in said) is open_

@@ -93,11 +93,18 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
         begin = whole_second(float(s.time[0]))
         after = f" after {begin:.0f} s" if begin else ""
         cuts.append(f"{s.name} from {s.time[cut] - begin:.2f} s{after} on")
-        train.append(s.part(0, cut, f"{s.name} (first part)"))
-        test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
+        train.append(s.part(0, cut, _called(s.name, "first part")))
+        test.append(s.part(cut, len(s.time), _called(s.name, "last part")))
     each = "its motion" if len(cuts) == 1 else "the motion of each"
     note = f"no recording was given to judge on; held out: {', '.join(cuts)}, the last third of"
     return train, test, [*notes, f"{note} {each}"]
+
+
+def _called(name: str, part: str) -> str:
+    """The name of a part of a recording, all parts in one bracket: run.csv (last part, to test on).
+    """
+    whole, bracket, outer = name.partition(" (")
+    return f"{whole} ({outer[:-1]}, {part})" if bracket else f"{name} ({part})"
 
 
 def _until_rest(s: Signals) -> tuple[Signals, list[str]]:
@@ -171,7 +178,7 @@ def _by_turns(
             cuts = [0, int(half), n]
         for k, (a, b) in enumerate(itertools.pairwise(cuts)):
             words = ("to choose by", "to test on")[k % 2]
-            parts[k % 2].append(s.part(a, b, f"{s.name} ({words})"))
+            parts[k % 2].append(s.part(a, b, _called(s.name, words)))
     return parts
 
 
@@ -197,7 +204,7 @@ def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]
         if pieces == [(0, n)]:
             out.append(s)
             continue
-        out += [s.part(a, b, f"{s.name} (quiet)") for a, b in pieces if b - a >= MIN_SAMPLES]
+        out += [s.part(a, b, _called(s.name, "quiet")) for a, b in pieces if b - a >= MIN_SAMPLES]
     rows, left = (sum(len(s.time) for s in part) for part in (signals, out))
     return out if left >= LEFT * rows else []
 

@@ -159,6 +159,7 @@ def _finding(
     values = _numbers(given, decision, whole, claim)
     sure = min(confidence(claim, decision), one_number(claim.effect, values))
     text = _held_otherwise(given, term, values) or sentence(term, values)
+    text += _falls_to(whole.agreed[joint].model, term, given.torque_unit(joint))
     numbers = cast(Further, chosen(term))  # as its effect's file names them
     if term.effect == "inertia":
         weight = [
@@ -191,6 +192,16 @@ def _finding(
         numbers,
         claim.mechanism,
         claim.laws,
+    )
+
+
+def _falls_to(model: Model, term: Term, torque_unit: str) -> str:
+    """The sentence on the level above which a law's size is counted, as Stribeck's; else empty."""
+    below = {p.above for p in get_effect(term.effect).parameters if p.above}
+    return "".join(
+        f" It falls to {t.value(get_effect(t.effect).linear[0]):.3g} {torque_unit} ({t.effect})."
+        for t in model.at(term.joint)
+        if t.effect in below
     )
 
 

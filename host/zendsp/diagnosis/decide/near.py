@@ -92,9 +92,8 @@ def nearest_law(
 def only_in_the_fit(joint: int, effect: str) -> str:
     """A sentence, without full stop, on effects that untouched recordings do not show."""
     return (
-        f"Joint {joint}: the recordings of the fit are by far likelier with {effect}, and the"
-        " untouched ones do not say so: hold out motion as fast as theirs, or look for what is"
-        " wrong with them alone"
+        f"Joint {joint}: only the recordings of the fit show {effect}. Look in them for what is"
+        " wrong with them alone, if motion as fast as theirs does not show it either"
     )
 
 

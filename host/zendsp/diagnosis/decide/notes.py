@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import BEYOND, Verdict, spans, two_digits
+from zendsp.diagnosis.decide.contract import BEYOND, Verdict, listed, spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.decide.near import likeness, only_in_the_fit
 from zendsp.diagnosis.decide.result import Errors
@@ -98,21 +98,31 @@ def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
     """The note where the command column is late by less than a claimed shift; a claimed one has its
     own finding.
     """
-    return [
-        f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms"
-        f" ({t.value('time') / d.final.data.records[0][d.joint - 1].sample_time:.2g} rows) late"
-        " against the position column: behind a filter of the log, in a simulator of first order,"
-        " or of a loop faster than the rows ([actuator] hold). The model has it; "
-        + (
-            "it may stand in for a part of what is missing"
-            if d.kind == Verdict.UNEXPLAINED
-            else "it is no missing physics"
-        )
+    late = [
+        (t.value("time"), d)
         for d in decisions
         for t in d.final.model.at(d.joint)
         if t.effect == "column_shift"
         and not any(g.effect == t.effect for g in given.at(d.joint))
         and not any(c.effect == t.effect for c in d.claims)
+    ]
+    if not late:
+        return []
+    at = ", ".join(
+        f"{1e3 * time:.2g} ms ({time / d.final.data.records[0][d.joint - 1].sample_time:.2g} rows)"
+        f" late at joint {d.joint}"
+        for time, d in late
+    )
+    unsure = [d.joint for _, d in late if d.kind == Verdict.UNEXPLAINED]
+    return [
+        f"the command column is {at} against the position column: behind a filter of the log, in a"
+        " simulator of first order, or of a loop faster than the rows ([actuator] hold). The model"
+        " has it; "
+        + (
+            f"at {listed(unsure)} it may stand in for a part of what is missing"
+            if unsure
+            else "it is no missing physics"
+        )
     ]
 
 
