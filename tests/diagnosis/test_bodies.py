@@ -31,9 +31,10 @@ from zendsp.diagnosis.decide.decide_bodies import beside_bodies
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.report.laws import where_most
 from zendsp.diagnosis.report.sides import Sides
-from zendsp.diagnosis.search.bodies import agreed, find_bodies, refined
+from zendsp.diagnosis.search.bodies import find_bodies
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.diagnosis.search.body_numbers import agreed, refined
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord

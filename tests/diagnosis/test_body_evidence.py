@@ -13,10 +13,11 @@ from zendsp.diagnosis import joints, machine
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import Heard, borne
 from zendsp.diagnosis.search import bodies
-from zendsp.diagnosis.search.bodies import FoundBody, own_mass, unsure
+from zendsp.diagnosis.search.bodies import FoundBody, own_mass
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
 from zendsp.diagnosis.search.body_hypotheses import COST, LIMITS, Hypothesis
+from zendsp.diagnosis.search.body_numbers import unsure
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.model import Term
 

@@ -28,18 +28,11 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.measure.windows import model_error
-from zendsp.diagnosis.search.bodies import (
-    BodySearch,
-    FoundBody,
-    agreed,
-    gain_known,
-    refined,
-    stated,
-    unsure,
-)
+from zendsp.diagnosis.search.bodies import BodySearch, FoundBody
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import Explained, seen, tied
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
+from zendsp.diagnosis.search.body_numbers import agreed, gain_known, refined, stated, unsure
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import library
 from zendsp.physics.model import Model, Term

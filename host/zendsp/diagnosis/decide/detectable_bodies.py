@@ -20,10 +20,10 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide_bodies import LARGER_THAN_LEFT, BodyClaim
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.discrepancy import NINE_IN_TEN
-from zendsp.diagnosis.search.bodies import known_by, many, weights_of
 from zendsp.diagnosis.search.body_columns import NUISANCE, Layout, Sums
 from zendsp.diagnosis.search.body_explain import Explained
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, Hypothesis, hypotheses
+from zendsp.diagnosis.search.body_numbers import known_by, many, weights_of
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.model import Model
 

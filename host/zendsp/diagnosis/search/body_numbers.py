@@ -1,0 +1,211 @@
+"""The numbers of a body: estimated around themselves until they converge, how well they are known,
+and how much of the torque they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.search.body_columns import Layout, Sums
+from zendsp.diagnosis.search.body_explain import Explained
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, BodyLimits, Hypothesis
+from zendsp.diagnosis.search.body_solver import Solver
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.model import Model, Term
+
+Array = npt.NDArray[np.float64]
+
+
+def refined(
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits = LIMITS,
+    jobs: int = 1,
+    aside: Collection[int] = (),
+) -> Explained:
+    """An explanation estimated again around its own numbers until they converge; a mass gets an
+    inertia of its own where that shows.
+
+    Unexplained torque recurs with the poses and so biases the numbers by more than the blocks of
+    one recording show. Another recording has other poses; the standard deviations grow by how far
+    it moves the numbers beyond their uncertainty. They include a common gain error of all
+    actuators, which resembles a mass.
+    """
+    return _refined(fit, choose, layout, first, limits, jobs, aside)[0]
+
+
+def agreed(
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits = LIMITS,
+    jobs: int = 1,
+    aside: Collection[int] = (),
+) -> Explained:
+    """The same explanation, estimated on the recordings of the fit and those to choose by. The
+    choice is made by now, and the poses of both separate mass from friction and rotors.
+    """
+    return _refined(fit, choose, layout, first, limits, jobs, aside)[1]
+
+
+def _refined(
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits,
+    jobs: int,
+    aside: Collection[int],
+) -> tuple[Explained, Explained]:
+    """An explanation estimated on the recordings of the fit and on those to choose by."""
+    h, values = _standing(fit, layout, first, limits, jobs, aside)
+    here = layout.model.with_terms((*layout.model.terms, layout.term(h, values)))
+    sums = [Sums(data, here, limits, jobs) for data in (fit, choose)]
+    origin = layout.place(h, values)
+    one, both = (
+        Solver(x, x, layout, limits, origin, aside) for x in (sums[0], sums[0].with_more(sums[1]))
+    )
+    return known_by(one, both, replace(first, hypothesis=h), values)
+
+
+def known_by(
+    one: Solver, both: Solver, first: Explained, values: Array
+) -> tuple[Explained, Explained]:
+    """An explanation estimated by some recordings (``values``) and by more of them, with how well
+    its numbers are known.
+    """
+    together = both.estimate(first.hypothesis, values)
+    std = one.std(first.hypothesis, values)
+    # further recordings reduce the variance by their share of all samples
+    more = 1.0 - one.counts.sum() / both.counts.sum()
+    may = np.maximum(more * std**2, 1e-300)
+    apart = max(1.0, float(np.sqrt(np.mean((together - values) ** 2 / may))))
+    return _known_to(one, first, values, apart), _known_to(both, first, together, apart)
+
+
+def _known_to(solver: Solver, first: Explained, values: Array, apart: float) -> Explained:
+    """An explanation with numbers and how well they are known."""
+    by_gain = _by_gain(solver, first.hypothesis, values, apart)
+    std = np.hypot(apart * solver.std(first.hypothesis, values), by_gain)
+    return replace(first, values=values, std=std, of_gain=np.abs(by_gain))
+
+
+def _standing(
+    fit: Data,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits,
+    jobs: int,
+    aside: Collection[int],
+) -> tuple[Hypothesis, Array]:
+    """Numbers estimated again around themselves until they converge, with an inertia where that
+    shows.
+    """
+    h, values = first.hypothesis, first.values
+    wider = (
+        replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
+    )
+    for _ in range(limits.rounds):
+        here = layout.model.with_terms((*layout.model.terms, layout.term(h, values)))
+        sums = Sums(fit, here, limits, jobs)
+        solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
+        new = solver.estimate(h, values)
+        std = solver.std(h, new)
+        if len(wider.free) > len(h.free):
+            more = solver.estimate(wider, np.append(new, 0.0))
+            spread = solver.std(wider, more)
+            told_apart = spread[0] < max(limits.blurred * std[0], limits.of_mass * abs(more[0]))
+            shown = abs(more[-1]) > limits.shown * spread[-1]
+            if shown and told_apart and solver.plausible(wider, more):
+                h, new, std = wider, more, spread
+        known = len(values)
+        stands = (
+            len(new) == known
+            and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < limits.moves
+        )
+        values = new
+        if stands:
+            break
+    return h, values
+
+
+def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Array:
+    """The change of the numbers when all actuators give one standard deviation more or less than
+    stated. That deviation is the model's for its gains, or else that of makers' torque constants,
+    combined with what the recordings show.
+    """
+    limits = solver.limits
+    constant = gain_known(solver.layout.model, limits)
+    both, stated = replace(h, free=(*h.free, "gain")), np.append(values, 0.0)
+    off, spread = solver.step(both, stated)[-1], solver.std(both, stated)[-1]
+    # in a loop the command balances all unknown torques, which biases a regression for the gain;
+    # the gain is known no better than that bias
+    seen = max(abs(float(off)), apart * float(spread))
+    by = float(np.copysign(seen * constant / np.hypot(seen, constant), off))
+    shift = solver.beside_gain(by).estimate(h, values) - values
+    for _ in range(limits.halvings):  # the gain must not make a body's inertia negative
+        if solver.plausible(h, values + shift):
+            break
+        shift /= 2.0
+    return np.asarray(shift)
+
+
+def gain_known(model: Model, limits: BodyLimits = LIMITS) -> float:
+    """Relative standard deviation of the drives' gains: the model's, or that of makers' torque
+    constants.
+    """
+    return model.actuator.gain_known or limits.constant
+
+
+def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
+    """Whether every free number of a body lies within two standard deviations of zero; beside a
+    mass, its centre within three.
+    """
+    least = many(explained.hypothesis, limits) * explained.std
+    return bool(np.all(np.abs(explained.values) < least))
+
+
+def many(h: Hypothesis, limits: BodyLimits = LIMITS) -> Array:
+    """Standard deviations from which on one number of a body shows that there is one, (p,)."""
+    out = np.full(len(h.free), limits.shown)
+    if "mass" in h.free:
+        out[1:] = limits.sure
+    return out
+
+
+def stated(layout: Layout, e: Explained) -> Term:
+    """The term of an explanation with its standard deviations, held in fits of single joints."""
+    term = layout.term(e.hypothesis, e.values)
+    spread = dict(zip(e.hypothesis.free, e.std.tolist(), strict=True))
+    numbers = {
+        key: replace(q, free=False, std=spread.get(key, 0.0)) for key, q in term.parameters.items()
+    }
+    return Term(term.effect, term.joint, numbers)
+
+
+def weight_of(data: Data, layout: Layout, e: Explained) -> float:
+    """RMS torque of an explanation at the joint where it is the largest part of the joint's RMS
+    torque, as that part.
+    """
+    return float(np.max(weights_of(data, layout, e.hypothesis, e.values)))
+
+
+def weights_of(data: Data, layout: Layout, h: Hypothesis, values: Array) -> Array:
+    """RMS torque of a body at each joint, as a part of the joint's RMS torque, (joints,)."""
+    term = layout.term(h, values)
+    total, scale = np.zeros(layout.joints), np.zeros(layout.joints)
+    for rec in data.records:
+        for j, record in enumerate(rec):
+            assert record.links is not None
+            change = record.links.change([term], j)
+            torque = change.bias + change.inertia * record.others[j, 2]
+            total[j] += float(torque @ torque)
+            scale[j] += record.scale.torque**2 * record.n
+    return np.asarray(np.sqrt(total / np.maximum(scale, 1e-300)))
