@@ -17,6 +17,7 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 from zendsp.diagnosis.decide.assemble import with_disagreement, with_lasting_torque
 from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.measure import bursts as measure_bursts
+from zendsp.diagnosis.measure.acting import Acting, Lacking
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.wandering import wanders
 from zendsp.physics.calibration.covariance import robust_covariance
@@ -73,8 +74,8 @@ def test_a_torque_that_acts_one_way_while_the_joint_moves_both_is_no_friction(
     torque = (1.0 - share) + share * np.sign(speed)
     record: Any = SimpleNamespace(motion=SimpleNamespace(states=np.stack([t, speed, t])))
     data: Any = SimpleNamespace(records=[[record]])
-    of = measure_bursts._Lacking(data, (), (torque,), (), (), (slice(None),))
-    acting = measure_bursts._Acting(of, ((t > 0.5) & (t < 1.5),), 0.0)
+    of = Lacking(data, (), (torque,), (), (), (slice(None),))
+    acting = Acting(of, ((t > 0.5) & (t < 1.5),), 0.0)
     assert measure_bursts._either_way(acting, 1) is either
 
 

@@ -23,9 +23,9 @@ from zendsp.diagnosis.decide.assemble import (
 )
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
+from zendsp.diagnosis.measure import acting, evidence
 from zendsp.diagnosis.measure import bursts as measure_bursts
 from zendsp.diagnosis.measure import discrepancy as measure_discrepancy
-from zendsp.diagnosis.measure import evidence
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import BANDS, at_reversals, deviation, discrepancy
 from zendsp.diagnosis.measure.evidence import compare
@@ -280,8 +280,8 @@ def test_a_torque_that_acts_while_the_joint_covers_most_of_its_way_is_no_push(
 
 def acting_of(data: Data, model: Model) -> list[Any]:
     """Where the missing torque of joint 1 is large."""
-    lacks = measure_bursts._lacking(data, model, 1)
-    return [measure_bursts._acting(lacks, 1, measure_bursts._quiet([lacks]))]
+    lacks = acting.lacks_of(data, model, 1)
+    return [acting.acting_of(lacks, 1, acting.quiet_energy([lacks]))]
 
 
 def test_spikes_once_a_count_of_a_slow_joint_are_no_ringing() -> None:
@@ -289,7 +289,7 @@ def test_spikes_once_a_count_of_a_slow_joint_are_no_ringing() -> None:
         columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
         columns["q"] = np.floor(np.arange(len(columns["q"])) / samples_a_count) * 0.01
         record = data_of(columns, model_of(VISCOUS)).records[0][0]
-        return float(np.sum(measure_bursts._by_count(torque[: record.n], record, 24) ** 2))
+        return float(np.sum(acting._by_count(torque[: record.n], record, 24) ** 2))
 
     spikes = np.zeros(600)
     spikes[::8] = 0.4

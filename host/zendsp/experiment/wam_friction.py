@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.data.series import stretches
 from zendsp.experiment.estimates import NORMAL, least_squares, line_fit, smoothed, widest
 from zendsp.experiment.figures import BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
@@ -186,15 +187,15 @@ def constant_speed_pieces(
     steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < STEADY) & (
         np.abs(wanted) > MOVING
     )
-    edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
-    beside = min(SMOOTHED, int(np.diff(edges)[::2].min(initial=SMOOTHED)) // 4) // 2
+    moves = stretches(steady)
+    beside = min(SMOOTHED, min((b - a for a, b in moves), default=SMOOTHED) // 4) // 2
     window = max(3, 2 * beside + 1)
     qd, qdd = (smoothed(q, window, rec.sample_time, order) for order in (1, 2))
     ahead = ACTS * reference.sample_time
     q, qd = q + ahead * qd, qd + ahead * qdd
     g = g + ahead * smoothed(g, window, rec.sample_time, 1)
     pieces = []
-    for part, (first, last) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
+    for part, (first, last) in enumerate(moves):
         first += round(0.3 * (last - first))
         last -= beside
         if last - first < SHORTEST:

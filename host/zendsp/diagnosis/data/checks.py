@@ -10,6 +10,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.columns import cutting
 from zendsp.diagnosis.data.hangs import Hung, hangs, hung
 from zendsp.diagnosis.data.plausibility import check_driven, check_free
+from zendsp.diagnosis.data.series import stretches
 from zendsp.diagnosis.data.signals import Signals, unused_effects
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
@@ -269,11 +270,9 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
     for name, edge in (("top", float(y.max())), ("bottom", float(y.min()))):
         at = y == edge
         share = float(np.mean(at))
-        change = np.diff(np.r_[0, at.astype(int), 0])
-        starts, stops = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
-        long = (stops - starts) * sample_time > LAG
+        long = [k for k, end in stretches(at) if (end - k) * sample_time > LAG]
         sudden = 0
-        for k in starts[long]:
+        for k in long:
             if k > width:
                 travel = abs(float(y[k - 1] - y[k - 1 - width]))
                 # braking at the usual acceleration from this speed would take well over ARRIVAL,
@@ -282,7 +281,7 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
                     travel > STOP_COUNTS * resolution
                     and travel / (width * sample_time) > STOP_USUAL * usual * width * sample_time
                 )
-        often = sudden >= STOP_TWICE and sudden >= STOP_MOST * max(1, int(long.sum()))
+        often = sudden >= STOP_TWICE and sudden >= STOP_MOST * max(1, len(long))
         if share > STOP_TIME and often:
             raise RecordingError(
                 f"{where}: the position stops dead at its {name} ({edge:.4g}, {100 * share:.0f} %"

@@ -1,4 +1,4 @@
-"""The number of independent samples in a correlated series."""
+"""The number of independent samples in a correlated series, and the stretches of a mask."""
 
 from __future__ import annotations
 
@@ -20,3 +20,15 @@ def repeats(r: npt.NDArray[np.float64], sample_time: float) -> float:
     correlation = np.fft.irfft(np.abs(np.fft.rfft(r, size)) ** 2, size)[1:most] / energy
     end = int(np.argmax(correlation < 0)) if (correlation < 0).any() else len(correlation)
     return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[:end])))
+
+
+def stretches(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """The stretches of a mask, (n,), that hold: first sample, and the one after the last.
+
+    Examples
+    --------
+    >>> stretches(np.array([True, False, True, True]))
+    [(0, 1), (2, 4)]
+    """
+    change = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(int))).tolist()
+    return list(zip(change[::2], change[1::2], strict=True))

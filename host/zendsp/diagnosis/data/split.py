@@ -12,6 +12,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import Source, read_signals
 from zendsp.diagnosis.data.sampling import whole_second
+from zendsp.diagnosis.data.series import stretches
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals, with_same_columns
 from zendsp.errors import RecordingError
 from zendsp.physics.kernel.smooth import moving_mean
@@ -199,8 +200,7 @@ def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]
         bad = np.zeros(n, bool)
         for of, begin, end in spans:
             bad |= (of == name) & (s.time > begin - PUSH_MARGIN_S) & (s.time < end + PUSH_MARGIN_S)
-        edges = np.flatnonzero(np.diff(np.r_[True, bad, True].astype(int)))
-        pieces = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        pieces = stretches(~bad)
         if pieces == [(0, n)]:
             out.append(s)
             continue

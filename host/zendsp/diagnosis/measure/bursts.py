@@ -10,12 +10,21 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.data.series import stretches
+from zendsp.diagnosis.measure.acting import (
+    LACKING_BAND,
+    Acting,
+    acting_of,
+    lacks_of,
+    largest,
+    peak_of,
+    quiet_energy,
+)
 from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.discrepancy import (
     FASTEST,
     TURNING,
     band_of,
-    correction_lag,
     kept,
     lacking,
     mean_square,
@@ -24,18 +33,15 @@ from zendsp.diagnosis.measure.discrepancy import (
 from zendsp.diagnosis.measure.neighbours import TURNS_ROUND
 from zendsp.diagnosis.measure.structure import unit
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
 SINE_BAND = 64.0  # rad/s, of the observer in which a sine is looked for
-LACKING_BAND = 32.0  # rad/s, of the observer that shows the missing torque
 BRIEF = 0.4  # of the time at most: a torque that acts longer is no disturbance
 # of the energy outside that time, against that of a normally distributed random torque there
 BURST_SHARE = 0.4
-BURST, OF_PEAK = 10.0, 0.05  # times the median energy, and of the largest: a burst has more
 # least part of that time in states that the joint visits without it too, and the time that is
 # enough: ten memories of the observer. A push of 2 s had 0.23, so 0.46 s
 REVISITED, REVISITED_S = 0.3, 0.3
@@ -110,33 +116,7 @@ class Bursts:
         )
 
 
-@dataclass(frozen=True)
-class _Lacking:
-    """The missing torque of a joint: per recording its energy over the observer's memory (n,), the
-    torque, the same by counts of the sensor, the torque smoothed over that memory, and the samples
-    that count.
-    """
-
-    data: Data
-    levels: tuple[Array, ...]
-    lacks: tuple[Array, ...]
-    counted: tuple[Array, ...]
-    smooth: tuple[Array, ...]
-    used: tuple[slice, ...]
-
-
-@dataclass(frozen=True)
-class _Acting:
-    """Where a missing torque is large: per recording a mask (n,). ``least``: the energy above which
-    it is.
-    """
-
-    of: _Lacking
-    masks: tuple[npt.NDArray[np.bool_], ...]
-    least: float
-
-
-def _states(parts: Sequence[_Acting], joint: int) -> list[Array]:
+def _states(parts: Sequence[Acting], joint: int) -> list[Array]:
     """Cells of a joint's state, recordings one after the other, (n,) each: place with direction and
     speed; travel since the last reversal; the place of each neighbour with the direction.
     """
@@ -187,17 +167,17 @@ def bursts(
     often : float
         Part of the reversals that counts as "many".
     """
-    here, there = _lacking(data, model, joint), _lacking(beside, model, joint)
-    quiet = _quiet((here, there))
-    acting = _acting(here, joint, quiet)
-    peak = _peak(acting)
+    here, there = lacks_of(data, model, joint), lacks_of(beside, model, joint)
+    quiet = quiet_energy((here, there))
+    acting = acting_of(here, joint, quiet)
+    peak = peak_of(acting)
     out = _summed([acting], joint)
     if len(out.intervals) > 1 and peak < _fall(model, joint):
         return None  # this much is missing wherever the model sticks and the joint slides
     as_friction = dry > 0.0 and peak < STICKS * dry and not _either_way(acting, joint)
     if as_friction and (_turns(acting, joint, often) or _holds(acting, joint)):
         return None
-    others = _acting(there, joint, quiet, acting.least)
+    others = acting_of(there, joint, quiet, acting.least)
     if _of_the_way((acting, others), joint) > OF_THE_WAY:
         return None  # it acts when the joint moves, as in recordings of one joint after the other
     covered = sum(int(high.sum()) for high in acting.masks)
@@ -228,7 +208,7 @@ def _fall(model: Model, joint: int) -> float:
     return sum(t.value(p.name) for t in terms for p in get_effect(t.effect).parameters if p.above)
 
 
-def _of_the_way(parts: Sequence[_Acting], joint: int) -> float:
+def _of_the_way(parts: Sequence[Acting], joint: int) -> float:
     """The part of a joint's way that it covers while a torque acts."""
     within = whole = 0.0
     for acting in parts:
@@ -251,7 +231,7 @@ def _scattered(share: float, part: float) -> bool:
     return 1.0 - share > BURST_SHARE * (1.0 - by_chance)
 
 
-def _turns(acting: _Acting, joint: int, often: float) -> bool:
+def _turns(acting: Acting, joint: int, often: float) -> bool:
     """Whether a torque acts only at reversals, and not just at a few of them."""
     there = total = 0.0
     turning = moving = met = count = 0
@@ -265,9 +245,9 @@ def _turns(acting: _Acting, joint: int, often: float) -> bool:
         total += float(energy.sum())
         turning += int((high & turns).sum())
         moving += int((high & ~turns).sum())
-        change = np.flatnonzero(np.diff(np.r_[0, turns.astype(int), 0]))
-        count += len(change) // 2
-        met += sum(bool(high[a:b].any()) for a, b in zip(change[::2], change[1::2], strict=True))
+        each = stretches(turns)
+        count += len(each)
+        met += sum(bool(high[a:b].any()) for a, b in each)
     if moving > ELSEWHERE * (turning + moving) and (
         (total - there) * turning > LASTING * there * moving
     ):
@@ -275,27 +255,27 @@ def _turns(acting: _Acting, joint: int, often: float) -> bool:
     return there > MOSTLY * total and met > often * count
 
 
-def _either_way(acting: _Acting, joint: int) -> bool:
-    """Whether a torque acts one way while the joint moves both ways, as no friction does."""
+def _either_way(acting: Acting, joint: int) -> bool:
+    """Whether most of a torque acts one way while the joint moves both ways, as no friction does.
+    What acts as it stands tells nothing.
+    """
     alike = total = 0.0
     for high, lack, use, rec in zip(
         acting.masks, acting.of.lacks, acting.of.used, acting.of.data.records, strict=True
     ):
         v = rec[joint - 1].motion.states[1][use]
         slow = TURNING * float(np.quantile(np.abs(v), FASTEST))
-        change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
-        for a, b in zip(change[::2], change[1::2], strict=True):
-            energy = float(np.sum(lack[a:b] ** 2))
-            total += energy
+        for a, b in stretches(high):
+            total += float(np.sum(lack[a:b] ** 2))
             ways = [lack[a:b][side] for side in (v[a:b] > slow, v[a:b] < -slow)]
             if min(map(len, ways)) >= ELSEWHERE * (b - a):
                 up, down = (float(np.mean(way)) for way in ways)
                 if up * down > ONE_WAY * max(up**2, down**2):
-                    alike += energy
+                    alike += sum(float(np.sum(way**2)) for way in ways)
     return alike > MOSTLY * total
 
 
-def _holds(acting: _Acting, joint: int) -> bool:
+def _holds(acting: Acting, joint: int) -> bool:
     """Whether the joint starts to move in each interval in which a torque acts, and the torque
     resists: a friction that rest raises. Not where this may be chance.
     """
@@ -306,8 +286,7 @@ def _holds(acting: _Acting, joint: int) -> bool:
         speed = np.abs(rec[joint - 1].motion.states[1][use])
         slow = speed < TURNS_ROUND * float(np.quantile(speed, FASTEST))
         begins = np.cumsum(np.r_[0, slow[:-1] & ~slow[1:], 0])  # starts of motion up to each sample
-        change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
-        for a, b in zip(change[::2], change[1::2], strict=True):
+        for a, b in stretches(high):
             if begins[b] == begins[a]:
                 return False
             length = min(b - a, len(high) - 1)  # part of intervals as long with a start
@@ -318,9 +297,9 @@ def _holds(acting: _Acting, joint: int) -> bool:
 
 def everywhere(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -> Bursts:
     """The bursts in all recordings of a torque found in some of them."""
-    each = [_lacking(data, model, joint) for data in parts]
-    quiet = _quiet(each)
-    return _summed([_acting(part, joint, quiet, found.least) for part in each], joint)
+    each = [lacks_of(data, model, joint) for data in parts]
+    quiet = quiet_energy(each)
+    return _summed([acting_of(part, joint, quiet, found.least) for part in each], joint)
 
 
 def apart(
@@ -329,7 +308,7 @@ def apart(
     """RMS of the missing torque within the found times and outside, N m or N."""
     energy, count = [0.0, 0.0], [0, 0]
     for part in parts:
-        of = _lacking(part, model, joint)
+        of = lacks_of(part, model, joint)
         for smooth, use, rec in zip(of.smooth, of.used, part.records, strict=True):
             record = rec[joint - 1]
             t = record.t0 + record.sample_time * (use.start + np.arange(len(smooth)))
@@ -343,76 +322,7 @@ def apart(
     return inside, beside
 
 
-def _lacking(data: Data, model: Model, joint: int) -> _Lacking:
-    """The missing torque of a model along recordings."""
-    levels: list[Array] = []
-    lacks: list[Array] = []
-    counted: list[Array] = []
-    smooth: list[Array] = []
-    used = []
-    for lack, rec in zip(lacking(data, model, joint, LACKING_BAND), data.records, strict=True):
-        record = rec[joint - 1]
-        use = kept(record, LACKING_BAND)
-        width = max(3, round(3.0 / LACKING_BAND / record.sample_time))
-        window = np.ones(width) / width
-        levels.append(np.asarray(np.convolve(lack**2, window, mode="same")[use], float))
-        lacks.append(lack[use])
-        counted.append(_by_count(lack, record, width)[use])
-        smooth.append(np.asarray(np.convolve(lack[use], window, mode="same"), float))
-        used.append(use)
-    return _Lacking(
-        data, tuple(levels), tuple(lacks), tuple(counted), tuple(smooth), tuple(used)
-    )
-
-
-def _by_count(lack: Array, record: JointRecord, most: int) -> Array:
-    """A torque, (n,), N m or N, as its mean over the time between two counts of the sensor, over
-    ``most`` samples at most. Where a joint takes several samples for a count, the observer corrects
-    the model in one of them: these spikes would pass for ringing.
-    """
-    lag = correction_lag(record, LACKING_BAND)
-    counts = np.flatnonzero(np.diff(record.position)) + 1 - lag
-    begins = np.unique(np.r_[0, counts[counts > 0]])
-    sizes = np.diff(begins, append=len(lack))
-    long = zip(begins[sizes > most], sizes[sizes > most], strict=True)
-    within = [np.arange(a + most, a + n, most) for a, n in long]
-    begins = np.sort(np.concatenate([begins, *within]))
-    sizes = np.diff(begins, append=len(lack))
-    return np.repeat(np.add.reduceat(lack, begins) / sizes, sizes)
-
-
-def _quiet(parts: Sequence[_Lacking]) -> float:
-    """The median energy in the quietest part of the data; a push may fill most of the others."""
-    return min(float(np.median(np.concatenate(part.levels))) for part in parts)
-
-
-def _acting(part: _Lacking, joint: int, quiet: float, least: float | None = None) -> _Acting:
-    """Where the energy of the missing torque is far above a median, and above ``least`` or, without
-    it, a part of its own peak.
-    """
-    high = max(float(level.max()) for level in part.levels)
-    above = max(BURST * quiet, OF_PEAK * high if least is None else least)
-    from scipy.ndimage import binary_closing  # takes a third of a second
-
-    masks = []
-    for level, rec in zip(part.levels, part.data.records, strict=True):
-        gap = max(1, round(0.25 / rec[joint - 1].sample_time))
-        masks.append(binary_closing(np.pad(level > above, 1), iterations=gap)[1:-1])
-    return _Acting(part, tuple(masks), above)
-
-
-def _largest(within: Array) -> float:
-    """A high quantile of the energy; the very largest is ringing of the observer at the edges."""
-    return float(np.quantile(np.abs(within), 0.95)) if len(within) else 0.0
-
-
-def _peak(acting: _Acting) -> float:
-    """The largest acting torque, N m or N."""
-    parts = zip(acting.of.smooth, acting.masks, strict=True)
-    return _largest(np.concatenate([smooth[high] for smooth, high in parts]))
-
-
-def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
+def _summed(parts: Sequence[Acting], joint: int) -> Bursts:
     """The intervals and sizes of an acting torque."""
     from scipy.ndimage import median_filter  # takes a third of a second
 
@@ -430,8 +340,7 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
             acting.masks, of.lacks, of.counted, of.smooth, of.used, of.data.records, strict=True
         ):
             step, start = rec[joint - 1].sample_time, rec[joint - 1].t0
-            change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
-            ends = list(zip(change[::2].tolist(), change[1::2].tolist(), strict=True))
+            ends = stretches(high)
             spans += [
                 (start + (use.start + a) * step, start + (use.start + b - 1) * step)
                 for a, b in ends
@@ -441,7 +350,7 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
             # the observer spikes at reversals of friction: intervals as short as its memory are
             # dropped
             calm = median_filter(lack, max(1, round(1.0 / LACKING_BAND / step)), mode="nearest")
-            peaks += [_largest(calm[a:b]) for a, b in ends]
+            peaks += [largest(calm[a:b]) for a, b in ends]
             inside.append(smooth[high])
             outside.append(smooth[~high])
             energy[0] += float(np.sum(lack[high] ** 2))

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.data.series import stretches
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
     ENERGY_BLOCK,
@@ -297,9 +298,8 @@ def intervals(missing: Missing) -> list[tuple[float, float, float]]:
     level = moving_mean(e, width)
     of_noise = float(np.median(missing.std) ** 2)
     high = level > CONCENTRATED * max(float(np.mean(e)), of_noise)
-    change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
     spans: list[tuple[int, int]] = []
-    for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True):
+    for a, b in stretches(high):
         if spans and a - spans[-1][1] < 2 * width:
             spans[-1] = (spans[-1][0], b)
         else:
