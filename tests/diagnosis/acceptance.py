@@ -11,10 +11,12 @@ from zendsp.physics.files.model_file import load_model
 from zendsp.physics.term_numbers import kernel_model
 
 
-def accepted(file: Path, model: Path) -> list[str]:
-    """The notes on a recording that passes the checks against a model file."""
+def accepted(files: Path | list[Path], model: Path) -> list[str]:
+    """The notes on recordings that pass the checks against a model file."""
     given = kernel_model(load_model(model))
-    signals = [read_signals(file, given)]
+    files = [files] if isinstance(files, Path) else files
+    signals = [read_signals(file, given) for file in files]
     notes = check_signals(signals, given)
     data = prepare(signals, given, 64.0)
-    return [*notes, *check_motion(data, given, [str(file)]), *check_excitation(data)]
+    check_motion(data, given, list(map(str, files)))
+    return [*notes, *check_excitation(data)]

@@ -84,8 +84,12 @@ def glued_at_rest(c: Columns) -> None:
     c["q"] = np.concatenate([c["q"][:k], rest, c["q"][k] + 1.0 + c["q"][k + 400 :]])
 
 
-def outlier(c: Columns) -> None:
-    c["q"][1000] += 17.0
+def dropped_out(c: Columns) -> None:
+    c["q"][1000:1020] = c["q"].max() + 17.0
+
+
+def reference(c: Columns) -> None:
+    c["q"] = c["r"].copy()
 
 
 def repeated(c: Columns) -> None:
@@ -134,7 +138,8 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "two runs glued, the first one at rest": (glued_at_rest, "glued"),
     "the same run twice": (repeated, "glued"),
     "a sensor that hung": (hung, "the sensor hung, or was not read"),
-    "one row that stands out": (outlier, "the position of row 1001 alone"),
+    "a sensor that dropped out": (dropped_out, "off for 20 rows from row 1001 on"),
+    "the set value in place of the position": (reference, "name the column of the sensor"),
     "command of another run": (shifted, "different runs"),
     "time in few digits": (few_digits, "stands still at row 2, at 1700000000: is it written"),
     "time in milliseconds": (scale(1000.0, "t"), "seconds"),

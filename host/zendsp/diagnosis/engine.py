@@ -329,7 +329,7 @@ def _ready(
     names = [s.name for s in (*fit_signals, *choose_signals, *test_signals)]
     everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
     if given.called is None:
-        notes += check_motion(everything, given, names)
+        check_motion(everything, given, names)
     notes += check_excitation(fit)
     return (fit_signals, choose_signals, test_signals), parts, notes
 

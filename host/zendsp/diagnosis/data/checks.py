@@ -9,9 +9,11 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.columns import cutting
 from zendsp.diagnosis.data.hangs import Hung, hangs, hung
+from zendsp.diagnosis.data.jumps import BACK, QUANTILE, stands_out
 from zendsp.diagnosis.data.plausibility import check_driven, check_free
 from zendsp.diagnosis.data.series import stretches
 from zendsp.diagnosis.data.signals import Signals, unused_effects
+from zendsp.diagnosis.data.zeros import check_zeros
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.kernel.signals import noise_beside_quantisation
@@ -41,11 +43,7 @@ AT_TOP = 0.999  # of the largest command: at it
 STUCK = 0.03  # of the time at the largest command
 VALUES = 20  # least number of values, to six digits, of a command that is not a relay's
 DIGITS = 6
-JUMP_QUANTILE = 0.999  # of the steps: a fast step of the motion
-JUMP_USUAL, JUMP_NEAR = 8, 20  # times that, and times the median step around it: a jump
-JUMP_COUNTS = 6  # of the sensor
-JUMP_SPAN = 0.004  # of the position's span
-BACK = 0.1  # of a jump: most that the next row leaves of a spike: chosen, not measured
+DROPPED_S = 1.0  # s, within which a sensor that dropped out is back: chosen, not measured
 ARRIVAL = 0.004  # s, over which the speed before a stop is taken
 LAG = 0.02  # s, over which the usual acceleration is; a stop lasts longer
 STOP_COUNTS = 4  # of the sensor, within ARRIVAL
@@ -99,6 +97,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
             if raw.reference is not None:
                 _follows(where, y, raw.reference[:, j], model.joint_kind(j + 1))
             notes += _limits(where, raw.command[:, j], per_joint(model.actuator.limit, j + 1, 0.0))
+            notes += _seldom(where, raw.command[:, j], raw.sample_time, model.actuator.hold)
     if stood:
         raise RecordingError(hung(stood, MIN_SECONDS / 2))
     return notes
@@ -167,8 +166,27 @@ def _refreshed(
         )
 
 
+def _seldom(where: str, u: Array, sample_time: float, hold: float | None) -> list[str]:
+    """The note on a command that is new in every n-th row only."""
+    changes = np.flatnonzero(np.diff(u))
+    every = int(np.gcd.reduce(np.diff(changes))) if len(changes) > REFRESHES else 1
+    if every < 2 or (hold or sample_time) > MOSTLY * every * sample_time:
+        return []
+    return [
+        f"{where}: the command is new in every {every}th row only. If the loop commands that"
+        f" seldom, say so ([actuator] hold = {every * sample_time:.4g}); if it is faster, nobody"
+        " saw what it did in between, and what seems to be a delay, a lag or a late column may be"
+        " the log's"
+    ]
+
+
 def _follows(where: str, y: Array, r: Array, kind: str) -> None:
-    """Refuse a reference that differs from the position by a factor of 180/pi or -1."""
+    """Refuse a reference that is the position, or differs from it by a factor of 180/pi or -1."""
+    if np.array_equal(y, r):
+        raise RecordingError(
+            f"{where}: the position is its reference, to the last digit: [columns] names the set"
+            " value in both places; name the column of the sensor"
+        )
     a, b = y - y.mean(), r - r.mean()
     power = float(b @ b)
     if power <= 0:
@@ -225,28 +243,27 @@ def _glued(where: str, y: Array, resolution: float, s: Signals) -> list[Hung]:
     times at which a sensor hung, if that was the cause.
     """
     step = np.diff(y)
-    usual = float(np.quantile(np.abs(step), JUMP_QUANTILE))
+    usual = float(np.quantile(np.abs(step), QUANTILE))
     k = int(np.argmax(np.abs(step)))
-    before = np.median(np.abs(step[max(0, k - 20) : k])) if k else 0.0
-    after = np.median(np.abs(step[k + 1 : k + 21])) if k + 1 < len(step) else 0.0
-    jump = float(abs(step[k]))
-    counts = JUMP_COUNTS * float(np.max(s.resolution))
-    if (
-        jump > JUMP_USUAL * max(usual, TINY)
-        and jump > counts
-        and jump > JUMP_NEAR * max(before, after, TINY)
-        and jump > JUMP_SPAN * float(np.ptp(y))
-    ):
+    if stands_out(step, k, float(np.ptp(y)), float(np.max(s.resolution)), max(usual, TINY)):
+        jump = float(abs(step[k]))
         between = float(s.time[k] + s.time[k + 1]) / 2.0 - float(s.time[0])
-        for other, row in ((k + 1, k + 2), (k - 1, k + 1)):  # a spike that goes back
-            if 0 <= other < len(step) and abs(step[other] + step[k]) < BACK * jump:
-                raise RecordingError(
-                    f"{where}: the position of row {row} alone is {jump:.4g} off its neighbours:"
-                    " leave that row out, or correct it"
-                )
         stood = hangs(y, resolution)
         if any(h.first + h.rows == k + 1 for h in stood):
             return [Hung(where, s, tuple(stood))]
+        back = k + 1 + np.flatnonzero(np.abs(y[k + 1 :] - y[k]) < BACK * jump)[:1]
+        if (
+            len(back)
+            and s.time[back[0]] - s.time[k] < DROPPED_S
+            and abs(step[back[0] - 1] + step[k]) < BACK * jump
+        ):
+            until = float(s.time[back[0] - 1] + s.time[back[0]]) / 2.0 - float(s.time[0])
+            away = cutting(s.name, "--without", f"{between:.4f}:{until:.4f}", "-o", "part.csv")
+            raise RecordingError(
+                f"{where}: the position is {jump:.4g} off for {back[0] - k - 1} rows from row"
+                f" {k + 2} on, {between:.4f} s from the beginning: did the sensor drop out? {away}"
+                " makes a file of each part beside them"
+            )
         raise RecordingError(
             f"{where}: the position jumps by {jump:.4g} after row {k + 1}, {between:.4f} s from the"
             " beginning: are two runs glued together, or were samples dropped? Give them as two"
@@ -290,9 +307,9 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
             )
 
 
-def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
-    """The notes on motion compared with the command: units, signs, swapped columns
-    (``plausibility``).
+def check_motion(data: Data, model: Model, names: Sequence[str]) -> None:
+    """Compare motion with the command: units, signs, swapped columns (``plausibility``), zeros
+    (``zeros``).
 
     Parameters
     ----------
@@ -300,11 +317,6 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
         All recordings.
     names : sequence of str
         Of the recordings.
-
-    Returns
-    -------
-    list of str
-        Notes.
 
     Raises
     ------
@@ -342,7 +354,7 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
             check_driven(where, rec, model, parts, signs=speed == most[of])
         else:
             check_free(where, rec, model)
-    return []
+    check_zeros([record for rec in data.records for record in rec], model)
 
 
 def never_reverses(data: Data, joint: int) -> bool:

@@ -69,9 +69,7 @@ class _Looked:
 def _looked(records: Sequence[JointRecord], model: Model) -> _Looked:
     y = np.stack([r.position for r in records])
     u = np.stack([r.command for r in records])
-    noise = np.array(
-        [np.hypot(r.measurement.noise, r.measurement.resolution / np.sqrt(12)) for r in records]
-    )
+    noise = np.array([r.measurement.std for r in records])
     slow = look(y, u, records[0].sample_time, noise)
     body = rigid_body(slow, model)
     found = [
@@ -300,8 +298,7 @@ def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Mode
         inertia = mechanism_value(model, "inertia", record.joint)
         if model.kind != "rotary" or weight == 0 or inertia == 0:
             continue
-        m = record.measurement
-        noise = np.array([np.hypot(m.noise, m.resolution / np.sqrt(12))])
+        noise = np.array([record.measurement.std])
         ratio, r2 = _swing(record.position[None], record.sample_time, noise, inertia, weight)
         if r2 > SOUND and ratio < -LITTLE:
             raise RecordingError(

@@ -22,6 +22,7 @@ from zendsp.diagnosis.data.columns import (
     refuse_no_number,
     without_repeats,
 )
+from zendsp.diagnosis.data.jumps import counter_range, without_spikes
 from zendsp.diagnosis.data.sampling import (
     between_rows,
     clock,
@@ -84,6 +85,8 @@ def read_signals(source: Source, model: Model) -> Signals:
     resolution = np.array(
         [resolution_of(name, columns, j, position, command, model, notes) for j in range(joints)]
     )
+    position, reference, said = _mended(name, columns, position, reference, resolution)
+    notes += said
     position, held = read_anew(position, resolution)
     if held:
         notes.append(
@@ -114,6 +117,34 @@ def read_signals(source: Source, model: Model) -> Signals:
     if model.sensor.matrix:
         rows = rows @ np.array(model.sensor.matrix).T
     return _as_noisy_as_read(signals, rows, left_by_lines(grid, stamps))
+
+
+def _mended(
+    name: str, columns: Columns, position: Array, reference: Array | None, resolution: Array
+) -> tuple[Array, Array | None, list[str]]:
+    """Positions and references, (n, joints), without rows that stand out and with the ranges of a
+    counter put together; and notes.
+    """
+    position, notes = position.copy(), []
+    reference = None if reference is None else reference.copy()
+    for j, count in enumerate(resolution.tolist()):
+        column = f"{name}: {column_name(columns['position'], j)!r}"
+        if anew := counter_range(position[:, j], count):
+            read = position[:, j].copy()
+            position[:, j] = np.unwrap(read, period=anew)
+            if reference is not None:
+                reference[:, j] = np.unwrap(reference[:, j], period=anew)
+                reference[:, j] += anew * np.round((read - reference[:, j])[0] / anew)
+            notes.append(f"{column} begins anew after a range of {anew:.7g}; they are put together")
+        mended, rows = without_spikes(position[:, j], count)
+        if rows:
+            most = float(np.max(np.abs(mended - position[:, j])))
+            notes.append(
+                f"{column} is off for {counted(len(rows), 'single row')}, by up to {most:.3g}"
+                f" (first in row {rows[0] + 1}): the line between the neighbours stands there"
+            )
+            position[:, j] = mended
+    return position, reference, notes
 
 
 def _as_noisy_as_read(s: Signals, rows: Array, left: float) -> Signals:

@@ -230,7 +230,7 @@ def resolution_of(
                     f"{where}: its smallest step is {found:.6g}, {found / stated:.4g} times the"
                     f" model's position_resolution of {stated:.6g}: the column is in {words}"
                 )
-    if any(_on_lattice(y, stated / part) for part in (2, 4, 8, 5, 10)):
+    if found < stated and any(_on_lattice(y, stated / part) for part in (2, 4, 8, 5, 10)):
         return stated  # fractions of a count: interpolated or averaged by the drive
     if "command" in columns and _on_lattice(command[:, joint], stated, least=100):
         raise RecordingError(

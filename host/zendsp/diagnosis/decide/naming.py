@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -26,6 +27,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     SIMULATORS_DIFFER,
     SURE,
+    TOLERANCE,
 )
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
@@ -33,6 +35,7 @@ from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of, essential_deviation
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
+from zendsp.physics.calibration.joint import mechanism_value
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import TREES, Model, Term
 from zendsp.physics.term_numbers import chosen
@@ -160,6 +163,7 @@ def _finding(
     sure = min(confidence(claim, decision), one_number(claim.effect, values))
     text = _held_otherwise(given, term, values) or sentence(term, values)
     text += _falls_to(whole.agreed[joint].model, term, given.torque_unit(joint))
+    text += _turned(whole.agreed[joint].model, term, values)
     numbers = cast(Further, chosen(term))  # as its effect's file names them
     if term.effect == "inertia":
         weight = [
@@ -202,6 +206,24 @@ def _falls_to(model: Model, term: Term, torque_unit: str) -> str:
         f" It falls to {t.value(get_effect(t.effect).linear[0]):.3g} {torque_unit} ({t.effect})."
         for t in model.at(term.joint)
         if t.effect in below
+    )
+
+
+def _turned(model: Model, term: Term, values: Mapping[str, Estimate]) -> str:
+    """The sentence on a gravity that turns the model's by an angle and adds nothing to it, as where
+    a position has another zero; else empty.
+    """
+    own = mechanism_value(model, "gravity", term.joint) if model.kind == "rotary" else 0.0
+    if term.effect != "gravity" or not own:
+        return ""
+    torque = values["torque"]
+    both = own + torque.value * cmath.rect(1.0, values["angle"].value)
+    if abs(abs(both) - abs(own)) > math.hypot(PLAIN * torque.std, TOLERANCE * own):
+        return ""
+    angle = cmath.phase(both / own)
+    return (
+        f" With the model's it is the same weight, hanging at {angle:.3g} rad: the zero of the"
+        f" position may lie elsewhere ([sensor] offset = {-angle:.3g})."
     )
 
 

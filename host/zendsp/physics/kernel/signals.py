@@ -76,6 +76,11 @@ class Measurement:
     resolution: float
     noise: float  # standard deviation of what is not quantisation
 
+    @property
+    def std(self) -> float:
+        """Standard deviation of a reading of a moving joint."""
+        return math.hypot(self.noise, self.resolution / math.sqrt(12))
+
 
 @dataclass(frozen=True)
 class Motion:

@@ -1,0 +1,98 @@
+"""Steps of a position that no motion makes: single rows that stand out, and a counter that begins
+anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+QUANTILE = 0.999  # of the steps: a fast step of the motion
+USUAL, NEAR = 8, 20  # times that, and times the median step around it: a jump
+COUNTS = 6  # of the sensor
+SPAN = 0.004  # of the position's span
+ROWS = 20  # before a jump, and after it, that show the usual step there
+BACK = 0.1  # of a jump: most that the next row leaves of a spike: chosen, not measured
+LASTS = 5  # rows: a fast motion lasts longer than half of them, a spike and a jump do not
+RARE = 0.01  # of the rows at most: a sensor with more of them is not to be mended
+# of the position's span: a counter that begins anew falls by all of its range, which the joint has
+# then passed through
+RANGE = 0.9
+ALIKE = 0.02  # of the range: by which the jumps differ at most, beside the steps there
+
+
+def stands_out(
+    step: Array, k: int, span: float, count: float, usual: float, rows: int = 1
+) -> bool:
+    """Whether a step is a jump: a speed of one sample that the motion around it does not have.
+
+    Parameters
+    ----------
+    step : ndarray, shape (n,)
+        Differences of a position, rad or m.
+    k : int
+        Which of them.
+    span : float
+        Of the position.
+    count : float
+        Of the sensor, 0 where it has none.
+    usual : float
+        A fast step of the motion.
+    rows : int
+        Steps that belong to it: 2 of a row that stands out and goes back.
+    """
+    around = (step[max(0, k - ROWS) : k], step[k + rows : k + rows + ROWS])
+    near = max((float(np.median(np.abs(x))) for x in around if len(x)), default=0.0)
+    return bool(abs(step[k]) > max(USUAL * usual, COUNTS * count, NEAR * near, SPAN * span))
+
+
+def _lasting(step: Array) -> float:
+    """A fast step of the motion, without steps that stand alone."""
+    from scipy.ndimage import median_filter  # takes a third of a second
+
+    return float(np.quantile(median_filter(np.abs(step), LASTS, mode="nearest"), QUANTILE))
+
+
+def without_spikes(y: Array, count: float) -> tuple[Array, list[int]]:
+    """A position without single rows that stand out and go back: there the line between the
+    neighbours stands; and those rows, from 0. None where more than one in a hundred does.
+    """
+    step = np.diff(y)
+    jump = np.abs(step)
+    goes_back = np.abs(step[:-1] + step[1:]) < BACK * np.minimum(jump[:-1], jump[1:])
+    usual, span = _lasting(step), float(np.ptp(y))
+    rows = [
+        int(k) + 1
+        for k in np.flatnonzero(goes_back & (jump[:-1] > max(COUNTS * count, USUAL * usual)))
+        if stands_out(step, int(k), span, count, usual, rows=2)
+    ]
+    if len(rows) > RARE * len(y):
+        return y, []
+    out = y.copy()
+    for k in rows:
+        out[k] = 0.5 * (y[k - 1] + y[k + 1])
+    return out, rows
+
+
+def counter_range(y: Array, count: float) -> float:
+    """The range after which a sensor's counter begins anew, in units of the position; 0 where it
+    does not.
+    """
+    step, span = np.diff(y), float(np.ptp(y))
+    usual = _lasting(step)
+    jumps = np.flatnonzero(np.abs(step) > RANGE * span)
+    if len(jumps) < 2 or RANGE * span < max(USUAL * usual, COUNTS * count):
+        return 0.0
+    # the joint moves on by a step as its neighbours, against the jump
+    beside = 0.5 * (step[np.maximum(jumps - 1, 0)] + step[np.minimum(jumps + 1, len(step) - 1)])
+    ranges = np.abs(step[jumps] - beside)
+    size = float(np.median(ranges))
+    if np.max(np.abs(ranges - size)) > ALIKE * size + usual:
+        return 0.0
+    if count <= 0:
+        return size
+    whole = size / count
+    binary = 2.0 ** np.round(np.log2(whole))  # what an overflow is, unless a gear is between
+    return float(count * (binary if abs(binary - whole) * count <= usual + count else round(whole)))
