@@ -7,6 +7,7 @@ from pathlib import Path
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.decide.zeros import check_zeros
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.term_numbers import kernel_model
 
@@ -19,4 +20,5 @@ def accepted(files: Path | list[Path], model: Path) -> list[str]:
     notes = check_signals(signals, given)
     data = prepare(signals, given, 64.0)
     check_motion(data, given, list(map(str, files)))
+    check_zeros(data, given)
     return [*notes, *check_excitation(data)]

@@ -138,7 +138,7 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "two runs glued, the first one at rest": (glued_at_rest, "glued"),
     "the same run twice": (repeated, "glued"),
     "a sensor that hung": (hung, "the sensor hung, or was not read"),
-    "a sensor that dropped out": (dropped_out, "off for 20 rows from row 1001 on"),
+    "a sensor that dropped out": (dropped_out, "for 20 rows from row 1001"),
     "the set value in place of the position": (reference, "name the column of the sensor"),
     "command of another run": (shifted, "different runs"),
     "time in few digits": (few_digits, "stands still at row 2, at 1700000000: is it written"),

@@ -138,6 +138,6 @@ def test_a_gravity_that_only_turns_the_models_is_said_to_be_a_matter_of_its_zero
     added = weight * np.exp(1j * zero) - 1.0
     numbers = {"torque": Quantity(abs(added)), "angle": Quantity(float(np.angle(added)))}
     values = {key: Estimate(q.value, 0.01, "") for key, q in numbers.items()}
-    model = Model("m", "rotary", mechanism={"gravity": (Quantity(1.0),)})
+    model = Model("m", None, "rotary", {"gravity": (Quantity(1.0),)})
     said = _turned(model, Term("gravity", 1, numbers), values)
     assert ("[sensor] offset = -0.7)" in said) is turned

@@ -44,6 +44,7 @@ from zendsp.diagnosis.decide.result import (
     Workings,
 )
 from zendsp.diagnosis.decide.thresholds import FINEST
+from zendsp.diagnosis.decide.zeros import check_zeros
 from zendsp.diagnosis.machine import Found, Stopped, find
 from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.where import Missing, Region, Times, located
@@ -330,6 +331,7 @@ def _ready(
     everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
     if given.called is None:
         check_motion(everything, given, names)
+        check_zeros(everything, given)
     notes += check_excitation(fit)
     return (fit_signals, choose_signals, test_signals), parts, notes
 

@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.columns import cutting
 from zendsp.diagnosis.data.hangs import Hung, hangs, hung
-from zendsp.diagnosis.data.jumps import BACK, QUANTILE, stands_out
+from zendsp.diagnosis.data.jumps import BACK, JUMP_QUANTILE, stands_out
 from zendsp.diagnosis.data.plausibility import check_driven, check_free
 from zendsp.diagnosis.data.series import stretches
 from zendsp.diagnosis.data.signals import Signals, unused_effects
-from zendsp.diagnosis.data.zeros import check_zeros
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.kernel.signals import noise_beside_quantisation
@@ -243,7 +242,7 @@ def _glued(where: str, y: Array, resolution: float, s: Signals) -> list[Hung]:
     times at which a sensor hung, if that was the cause.
     """
     step = np.diff(y)
-    usual = float(np.quantile(np.abs(step), QUANTILE))
+    usual = float(np.quantile(np.abs(step), JUMP_QUANTILE))
     k = int(np.argmax(np.abs(step)))
     if stands_out(step, k, float(np.ptp(y)), float(np.max(s.resolution)), max(usual, TINY)):
         jump = float(abs(step[k]))
@@ -308,8 +307,7 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
 
 
 def check_motion(data: Data, model: Model, names: Sequence[str]) -> None:
-    """Compare motion with the command: units, signs, swapped columns (``plausibility``), zeros
-    (``zeros``).
+    """Compare motion with the command: units, signs, swapped columns (``plausibility``).
 
     Parameters
     ----------
@@ -354,7 +352,6 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> None:
             check_driven(where, rec, model, parts, signs=speed == most[of])
         else:
             check_free(where, rec, model)
-    check_zeros([record for rec in data.records for record in rec], model)
 
 
 def never_reverses(data: Data, joint: int) -> bool:

@@ -9,18 +9,17 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-QUANTILE = 0.999  # of the steps: a fast step of the motion
-USUAL, NEAR = 8, 20  # times that, and times the median step around it: a jump
-COUNTS = 6  # of the sensor
-SPAN = 0.004  # of the position's span
-ROWS = 20  # before a jump, and after it, that show the usual step there
+JUMP_QUANTILE = 0.999  # of the steps: a fast step of the motion
+JUMP_USUAL, JUMP_NEAR = 8, 20  # times that, and times the median step around it: a jump
+JUMP_COUNTS = 6  # of the sensor
+JUMP_SPAN = 0.004  # of the position's span
+JUMP_ROWS = 20  # before a jump, and after it, that show the usual step there
 BACK = 0.1  # of a jump: most that the next row leaves of a spike: chosen, not measured
-LASTS = 5  # rows: a fast motion lasts longer than half of them, a spike and a jump do not
-RARE = 0.01  # of the rows at most: a sensor with more of them is not to be mended
+LASTING_ROWS = 5  # rows: a fast motion lasts longer than half of them, a spike and a jump do not
+RARE_ROWS = 0.01  # of the rows at most: a sensor with more of them is not to be mended
 # of the position's span: a counter that begins anew falls by all of its range, which the joint has
 # then passed through
-RANGE = 0.9
-ALIKE = 0.02  # of the range: by which the jumps differ at most, beside the steps there
+ALL_OF_RANGE = 0.9
 
 
 def stands_out(
@@ -43,16 +42,18 @@ def stands_out(
     rows : int
         Steps that belong to it: 2 of a row that stands out and goes back.
     """
-    around = (step[max(0, k - ROWS) : k], step[k + rows : k + rows + ROWS])
+    around = (step[max(0, k - JUMP_ROWS) : k], step[k + rows : k + rows + JUMP_ROWS])
     near = max((float(np.median(np.abs(x))) for x in around if len(x)), default=0.0)
-    return bool(abs(step[k]) > max(USUAL * usual, COUNTS * count, NEAR * near, SPAN * span))
+    least = (JUMP_USUAL * usual, JUMP_COUNTS * count, JUMP_NEAR * near, JUMP_SPAN * span)
+    return bool(abs(step[k]) > max(least))
 
 
 def _lasting(step: Array) -> float:
     """A fast step of the motion, without steps that stand alone."""
     from scipy.ndimage import median_filter  # takes a third of a second
 
-    return float(np.quantile(median_filter(np.abs(step), LASTS, mode="nearest"), QUANTILE))
+    size = median_filter(np.abs(step), LASTING_ROWS, mode="nearest")
+    return float(np.quantile(size, JUMP_QUANTILE))
 
 
 def without_spikes(y: Array, count: float) -> tuple[Array, list[int]]:
@@ -63,12 +64,13 @@ def without_spikes(y: Array, count: float) -> tuple[Array, list[int]]:
     jump = np.abs(step)
     goes_back = np.abs(step[:-1] + step[1:]) < BACK * np.minimum(jump[:-1], jump[1:])
     usual, span = _lasting(step), float(np.ptp(y))
+    least = max(JUMP_COUNTS * count, JUMP_USUAL * usual)
     rows = [
         int(k) + 1
-        for k in np.flatnonzero(goes_back & (jump[:-1] > max(COUNTS * count, USUAL * usual)))
+        for k in np.flatnonzero(goes_back & (jump[:-1] > least))
         if stands_out(step, int(k), span, count, usual, rows=2)
     ]
-    if len(rows) > RARE * len(y):
+    if len(rows) > RARE_ROWS * len(y):
         return y, []
     out = y.copy()
     for k in rows:
@@ -82,14 +84,17 @@ def counter_range(y: Array, count: float) -> float:
     """
     step, span = np.diff(y), float(np.ptp(y))
     usual = _lasting(step)
-    jumps = np.flatnonzero(np.abs(step) > RANGE * span)
-    if len(jumps) < 2 or RANGE * span < max(USUAL * usual, COUNTS * count):
+    jumps = np.flatnonzero(np.abs(step) > ALL_OF_RANGE * span)
+    if len(jumps) < 2 or ALL_OF_RANGE * span < max(JUMP_USUAL * usual, JUMP_COUNTS * count):
         return 0.0
     # the joint moves on by a step as its neighbours, against the jump
     beside = 0.5 * (step[np.maximum(jumps - 1, 0)] + step[np.minimum(jumps + 1, len(step) - 1)])
     ranges = np.abs(step[jumps] - beside)
     size = float(np.median(ranges))
-    if np.max(np.abs(ranges - size)) > ALIKE * size + usual:
+    # a sensor that drops out reads one value, and is back elsewhere
+    between = zip(jumps[:-1] + 1, jumps[1:] + 1, strict=True)
+    dropped = any(b - a >= LASTING_ROWS and np.ptp(y[a:b]) == 0.0 for a, b in between)
+    if dropped or np.max(np.abs(ranges - size)) > usual + count:
         return 0.0
     if count <= 0:
         return size

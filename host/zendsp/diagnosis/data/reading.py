@@ -129,13 +129,6 @@ def _mended(
     reference = None if reference is None else reference.copy()
     for j, count in enumerate(resolution.tolist()):
         column = f"{name}: {column_name(columns['position'], j)!r}"
-        if anew := counter_range(position[:, j], count):
-            read = position[:, j].copy()
-            position[:, j] = np.unwrap(read, period=anew)
-            if reference is not None:
-                reference[:, j] = np.unwrap(reference[:, j], period=anew)
-                reference[:, j] += anew * np.round((read - reference[:, j])[0] / anew)
-            notes.append(f"{column} begins anew after a range of {anew:.7g}; they are put together")
         mended, rows = without_spikes(position[:, j], count)
         if rows:
             most = float(np.max(np.abs(mended - position[:, j])))
@@ -144,6 +137,13 @@ def _mended(
                 f" (first in row {rows[0] + 1}): the line between the neighbours stands there"
             )
             position[:, j] = mended
+        if anew := counter_range(position[:, j], count):
+            read = position[:, j].copy()
+            position[:, j] = np.unwrap(read, period=anew)
+            if reference is not None:
+                reference[:, j] = np.unwrap(reference[:, j], period=anew)
+                reference[:, j] += anew * np.round((read - reference[:, j])[0] / anew)
+            notes.append(f"{column} begins anew after a range of {anew:.7g}; they are put together")
     return position, reference, notes
 
 
