@@ -343,6 +343,7 @@ def test_no_gain_is_called_wrong_by_a_part_that_hardly_moves_when_another_shows_
     )  # fmt: skip
     monkeypatch.setattr(plausibility, "is_carried", lambda *_: True)
     monkeypatch.setattr(plausibility, "is_tool", lambda *_: False)
+    monkeypatch.setattr(plausibility, "check_order", lambda *_: None)
     ask: Any = plausibility.check_driven
     model = SimpleNamespace(actuator=SimpleNamespace(unit="A"))
     ask(["a: joint 1", "a: joint 2"], "still", model, ["moving"])

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.carried import is_carried, is_tool
+from zendsp.diagnosis.data.order import check_order
 from zendsp.diagnosis.data.regression import Regression, Slow, look, regress, rigid_body
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
@@ -49,6 +50,7 @@ BEYOND, BEYOND_ERRORS = 0.15, 4.5  # of the command at its edge, and in standard
 SATURATED = 0.98  # of the stated limit: from there on the actuator clips as well
 CLIPPED_INERTIA = (0.4, 2.5)  # of the model's inertia: within, a column may be called clipped
 RIGHT = (0.5, 2.0)  # of the model's inertia: within, a mistake counts as undone
+UNIT_TOLERANCE = 0.8  # of a factor between units
 DRIVES = 0.3  # of the torque: friction that adds this much is negative
 
 
@@ -116,14 +118,24 @@ def check_driven(
     RecordingError
         With the likeliest mistake.
     """
+    whole = where[0].removesuffix(": joint 1")
+    check_order(whole, records, model)
     here = _looked(records, model)
     agreeing = _agreeing(here.found)
-    slopes: list[float] = []
+    slopes = [
+        found.slope
+        for found in here.found
+        if found is not None and found.r2 > GOOD and abs(found.slope) > SURE_ERRORS * found.error
+    ]
+    # a part in which joints hardly move says nothing about a gain that another part confirms
+    shown = any(_agreeing(_looked(part, model).found) for part in beside)
+    # of joints without gravity, degrees are one factor too
+    degrees = all(UNIT_TOLERANCE < abs(x) * DEGREE < 1.0 / UNIT_TOLERANCE for x in slopes)
+    if not shown and not degrees and not is_tool(here.slow, model, here.body):
+        scaled(whole, slopes, command_unit(model, 0))
     for i, (name, found) in enumerate(zip(where, here.found, strict=True)):
         if found is None:
             continue
-        if found.r2 > GOOD and abs(found.slope) > SURE_ERRORS * found.error:
-            slopes.append(found.slope)
         if found.share > PASSIVE and agreeing - {i}:
             continue
         little = found.slope + ERRORS * found.error < LITTLE
@@ -139,10 +151,6 @@ def check_driven(
             likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "")
             _undo(name, found, likely, period, model, i)
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
-    # a part in which joints hardly move says nothing about a gain that another part confirms
-    shown = any(_agreeing(_looked(part, model).found) for part in beside)
-    if not shown and not is_tool(here.slow, model, here.body):
-        scaled(where[0].removesuffix(": joint 1"), slopes, command_unit(model, 0))
 
 
 def _clipped(name: str, found: Regression, top: float, model: Model, joint: int) -> None:
