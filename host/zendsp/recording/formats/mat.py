@@ -184,14 +184,15 @@ def _of_dspace(record: Any, found: Raw) -> bool:
     if not {"X", "Y"} <= set(record.dtype.names):
         return False
     x, y = (np.asarray(record[key]).reshape(-1) for key in "XY")
-    if "Data" not in (x.dtype.names or ()) or not {"Name", "Data"} <= set(y.dtype.names or ()):
+    fields = set(y.dtype.names or ())
+    if "Data" not in (x.dtype.names or ()) or not {"Name", "Data"} <= fields:
         return False
     paths = ["".join(_texts(variable["Name"])).replace('"', "") for variable in y]
     names = [path.rpartition("/")[2] for path in paths]
     for path, name, variable in zip(paths, names, y, strict=True):
         column = name if names.count(name) == 1 else path
         found.sort(column, variable["Data"])
-        found.units[column] = "".join(_texts(variable["Unit"])) if "Unit" in y.dtype.names else ""
+        found.units[column] = "".join(_texts(variable["Unit"])) if "Unit" in fields else ""
     for k, clock in enumerate(x, start=1):  # one for each raster
         column = "time" if len(x) == 1 else f"time{k}"
         found.sort(column, clock["Data"])
