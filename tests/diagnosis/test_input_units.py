@@ -11,6 +11,7 @@ import pytest
 
 from zendsp.diagnosis.data.columns import check_units, getter
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.sampling import resolution_of
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import parse_model
 from zendsp.recording import Recording, read_table
@@ -90,3 +91,17 @@ def test_recordings_of_an_arm_with_a_one_joint_model_are_refused_with_the_kinds_
     each = {"time": "t", "position": ["q[0]", "q[1]"], "command": ["tau[0]", "tau[1]"]}
     notes = read_signals(arm, parse_model({**ALONE, "columns": each})).notes
     assert any("takes each joint by itself" in note for note in notes)
+
+
+def test_whole_counts_are_not_taken_for_radians() -> None:
+    t, one = 0.001 * np.arange(4000), 2 * np.pi / 4000
+    counts = np.round(0.8 * np.sin(3.0 * t) / one)[:, None]
+
+    def read(sensor: dict[str, Any]) -> float:
+        model = parse_model({**ALONE, "sensor": {"position_resolution": one, **sensor}})
+        return resolution_of("run", {"position": "q"}, 0, counts, counts, model, [])
+
+    with pytest.raises(RecordingError, match=r"counts; .*\[sensor\] matrix = \[\[0\.0015707963"):
+        read({})
+    assert read({"matrix": [[one]]}) == 1.0  # the resolution said in rad a count, behind the matrix
+    assert read({"matrix": [[one]], "position_resolution": 1.0}) == 1.0

@@ -90,7 +90,8 @@ def test_the_report_says_where_the_next_motion_is_or_why_there_is_none(folder: P
         for proposal in (None, SimpleNamespace(reference=None), SimpleNamespace(reference=(0, 1)))
     ]
     assert said[::2] == ["nothing is left open", ""]
-    assert "set up by hand" in said[1] and "'zendsp reference' plans one" in said[1]
+    assert said[1].startswith("where an experiment is named, it is set up by hand")
+    assert "'zendsp reference' plans one" in said[1]
 
 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:

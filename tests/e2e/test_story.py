@@ -18,7 +18,7 @@ from story_cases import Answer, live_case
 from waiting import PATIENCE_S
 
 import zendsp
-from zendsp.demo.controller import plan_update, slots, sources
+from zendsp.demo.controller import not_cancelled, plan_update, slots, sources
 from zendsp.demo.evidence import judge
 from zendsp.demo.narrator import Narrator
 from zendsp.demo.picture import _missing
@@ -121,7 +121,10 @@ def test_an_update_carries_the_improved_model_into_the_running_program() -> None
     assert update.values["comp_quadratic_drag1_coefficient"] == 0.004 and update.joints == (1,)
     assert update.values["model_viscous1_coefficient"] == 0.0  # replaced
     assert update.values["model_coulomb1_level"] == 0.1
-    assert len(update.left_out) == 1 and "lag of joint 1" in update.left_out[0]
+    assert update.left_out == (lagging,)
+    lag, other = (SimpleNamespace(effect=name, joint=1) for name in ("lag", "quadratic_drag"))
+    assert not_cancelled(update, [lag, other])[0].startswith("lag of joint 1: ")  # type: ignore[list-item]
+    assert not_cancelled(update, [other]) == ()  # type: ignore[list-item]
     assert "comp_quadratic_drag1_coefficient" in sources(given)["compensation.h"]
 
 

@@ -165,7 +165,8 @@ def test_the_closed_loop_is_one_at_low_and_falls_at_high_frequencies(
     assert half == pytest.approx([row["std_db"] for row in found.rows()]), "those of the table"
     assert found.plot(tmp_path / "b.png") and (tmp_path / "b.png").stat().st_size > 5000
     page = found._repr_html_()
-    assert "−3 dB at" in repr(found) and "<svg" in page
+    assert "−3 dB at" in repr(found) and f"Hz, from the value at {found.f[0]:.3g} Hz" in repr(found)
+    assert "<svg" in page
     assert all(f">{row['std_db']:.2g}<" in page for row in found.rows())  # no digits of chance
     with pytest.raises(RecordingError, match=r"\.csv"):
         found.save(tmp_path / "b.txt")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 from makers import N, Q, T, U, bag, hdf5, json_mcap, mdf, tdms, tdms_with_a_time_channel
 
 from zendsp.errors import RecordingError
@@ -203,3 +204,34 @@ def test_a_table_without_a_row_is_refused_by_name(name: str, tmp_path: Path) -> 
     with pytest.raises(RecordingError, match=rf"{name}: .*no row"):
         Recording.load(path)
     assert len(Recording.from_columns({"q": []}, sample_time=0.1)) == 0
+
+
+@pytest.mark.parametrize("paths", [["Encoder/pos", "Control/i"], ["Encoder/Out1", "Control/Out1"]])
+def test_an_export_of_controldesk_has_columns_by_the_names_of_its_variables(
+    tmp_path: Path, paths: list[str]
+) -> None:
+    rows, full = np.arange(5.0), [f"Model Root/{path}" for path in paths]
+    y = np.zeros((1, 2), dtype=[(key, object) for key in ("Name", "Data", "Unit", "XIndex")])
+    for k, unit in enumerate(("deg", "A")):
+        quoted = '"{}"/"{}"'.format(*full[k].rsplit("/", 1))
+        y[0, k] = (quoted, rows[None, :] + k, unit, 1.0)
+    x = {"Name": "HostService", "Data": 0.001 * rows[None, :]}
+    scipy.io.savemat(tmp_path / "rec1.mat", {"rec1": {"X": x, "Y": y, "Description": "a swing"}})
+    table = read_table(tmp_path / "rec1.mat")
+    position, current = ("pos", "i") if "pos" in paths[0] else full
+    np.testing.assert_allclose(table["time"], 0.001 * rows)
+    np.testing.assert_allclose(table[position], np.radians(rows))
+    assert table.units[current] == "A" and set(table.columns) == {"time", position, current}
+
+
+def test_what_describes_a_signal_of_simulink_is_no_column_of_another_length(
+    tmp_path: Path,
+) -> None:
+    rows = np.arange(5.0)[:, None]
+    signals = {"values": np.c_[rows, rows], "dimensions": 2.0, "plotStyle": np.zeros((1, 2))}
+    scope = {"time": rows, "signals": signals, "blockName": "pend/Scope"}
+    scipy.io.savemat(tmp_path / "scope.mat", {"Scope": scope})
+    table = read_table(tmp_path / "scope.mat")
+    assert set(table.columns) == {"Scope.time", "Scope.signals.values"}
+    with pytest.raises(RecordingError, match="describes Scope"):
+        read_table(tmp_path / "scope.mat", ["Scope.signals.plotStyle"])

@@ -154,3 +154,21 @@ def test_points_beside_a_comma_within_a_text_stay_decimal_points(tmp_path: Path)
     path.write_text("t;q;note\n0.500;1.500;a,b\n1.500;2.500;a,b\n")
     table = read_table(path)
     assert table["t"].tolist() == [0.5, 1.5] and table["q"].tolist() == [1.5, 2.5]
+
+
+@pytest.mark.parametrize("head", ["t q_deg i", "t [s] q [deg] i[A]", "  t   q_deg i  "])
+def test_blanks_part_columns_where_nothing_else_does(tmp_path: Path, head: str) -> None:
+    """As halsampler of LinuxCNC, gnuplot and numpy.savetxt write them."""
+    path = tmp_path / "axis.txt"
+    path.write_text(f"{head}\n0.000  180 -0.5 \n0.001   90  0.25\n")
+    table = read_table(path)
+    time, q, i = (table[name] for name in table.columns)
+    np.testing.assert_allclose([time, q, i], [[0, 0.001], [np.pi, np.pi / 2], [-0.5, 0.25]])
+    path.write_text(path.read_text().replace(".", ","))
+    np.testing.assert_allclose(list(read_table(path).columns.values())[2], [-0.5, 0.25])
+    path.write_text("0 0.5 1\n1 0.6 2\n")
+    with pytest.raises(RecordingError, match="of its 3 columns there: put a line such as t pos"):
+        read_table(path)
+    path.write_text("t q i\n0 1 2\noverrun\n1 2 3\n")
+    with pytest.raises(RecordingError, match=r"line 3 \('overrun'\) has 1 value"):
+        read_table(path)

@@ -63,7 +63,7 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
 def _program(key: str, sources: Collection[str]) -> str:
     """The program as the names of its C files and the first characters of its key."""
     if not key:
-        return "none: load one with zendsp run, or zendsp compile --help"
+        return "none: load one with zendsp run or zendsp load"
     named = ", ".join(name for name in sources if name.endswith(".c"))
     return f"{named or 'without its source'} ({key[:12]})"
 

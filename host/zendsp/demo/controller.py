@@ -10,6 +10,7 @@ from importlib import resources
 
 import numpy as np
 
+from zendsp.diagnosis import Finding
 from zendsp.physics.calibration.joint import own_terms
 from zendsp.physics.codegen.compensation import compensation
 from zendsp.physics.codegen.model_code import model_code
@@ -93,10 +94,10 @@ def flags(joints: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Update:
-    """The values that one synchronous update writes, and the findings that no torque can cancel."""
+    """The values that one synchronous update writes, and the terms that no torque can cancel."""
 
     values: Mapping[str, float | list[float]]
-    left_out: tuple[str, ...]  # sentences
+    left_out: tuple[Term, ...]
     # whose torque is compensated by terms that the given model had not (1-based)
     joints: tuple[int, ...]
 
@@ -115,7 +116,7 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
         Names that the running program declares.
     """
     values: dict[str, float | list[float]] = {}
-    left_out: list[str] = []
+    left_out: list[Term] = []
     joints: set[int] = set()
     if given.kind in TREES:
         values |= _bodies(improved)
@@ -126,9 +127,7 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
     for label, term in _labelled(own_terms(kernel_model(improved).terms), "model").items():
         place = label if label in had else _slot(room, term)
         if place is None:
-            left_out.append(
-                f"{term.effect.replace('_', ' ')} of joint {term.joint}: {why_not(term.effect)}"
-            )
+            left_out.append(term)
             continue
         if room.pop(place, None) is not None:
             joints.add(term.joint)
@@ -140,6 +139,18 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
                 if name in variables:
                     values[name] = quantity.value
     return Update(values, tuple(left_out), tuple(sorted(joints)))
+
+
+def not_cancelled(update: Update, findings: Collection[Finding]) -> tuple[str, ...]:
+    """A sentence for each finding that the update leaves out. What only refines the model, as the
+    shift of a column by a part of a row does, is no finding.
+    """
+    named = {(f.effect, f.joint) for f in findings}
+    return tuple(
+        f"{t.effect.replace('_', ' ')} of joint {t.joint}: {why_not(t.effect)}"
+        for t in update.left_out
+        if (t.effect, t.joint) in named
+    )
 
 
 def bearing(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.demo.controller import BEARS, bearing, plan_update
+from zendsp.demo.controller import BEARS, bearing, not_cancelled, plan_update
 from zendsp.demo.evidence import (
     Hidden,
     Judged,
@@ -281,9 +281,9 @@ def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> 
     update = plan_update(d.given, d.improved, machine.target.variables())
     motion = machine.stage.work(machine.stage.plan)
     borne = bearing(d.given, d.improved, motion, machine.stage.Kp)
-    told.left_out = update.left_out
+    told.left_out = not_cancelled(update, d.findings)
     told.compensated = tuple(sorted({*update.joints, *borne, *(r.joint for r in told.refits)}))
-    for sentence in update.left_out:
+    for sentence in told.left_out:
         narrator.say(f"not compensated: {sentence}")
     begin = machine.stage.approach_s
     half, end = begin + 0.5 * motion.duration, begin + motion.duration

@@ -142,7 +142,7 @@ class FrequencyResponse:
         k = int(np.argmax(self.magnitude_db))
         text += f"; highest {self.magnitude_db[k]:.1f} dB at {self.f[k]:.3g} Hz"
         if math.isfinite(width := self.bandwidth()):
-            text += f", −3 dB at {width:.3g} Hz"
+            text += f", −3 dB at {width:.3g} Hz, from the value at {self.f[0]:.3g} Hz"
         text += f"; coherence below {SURE:g} at {unsure} line{'s' * (unsure > 1)}" if unsure else ""
         bent = DB * self.distortion / np.abs(self.gain)
         k = int(np.argmax(np.where(self.sure, bent, 0.0)))

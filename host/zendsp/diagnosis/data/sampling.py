@@ -220,9 +220,17 @@ def resolution_of(
     found = find_resolution(y)
     if stated <= 0:
         return found
+    where = f"{name}: position {column_name(columns['position'], joint)!r}"
+    if found > 2.0 * stated and np.array_equal(y, np.round(y)):  # no joint is read in whole rad
+        if model.sensor.matrix:
+            return found  # ``stated`` is rad (m) a count, behind the matrix
+        raise RecordingError(
+            f"{where}: holds whole numbers, {found / stated:.4g} times the model's"
+            f" position_resolution of {stated:.6g}: the column is in counts; say in the model what"
+            f" one is: [sensor] matrix = [[{stated:.9g}]]"
+        )
     if _on_lattice(y, stated):
         return stated
-    where = f"{name}: position {column_name(columns['position'], joint)!r}"
     if found > 0:
         for factor, words in ((180 / np.pi, "degrees, not radians"), (1e3, "milli-units")):
             if abs(found / stated / factor - 1) < UNITS:

@@ -84,8 +84,8 @@ def no_reference(d: Diagnosis) -> str:
     if d.next_recording is None:
         return "no motion can be proposed for what is open"
     by_hand = (
-        "the experiment that it names is set up by hand; where that is a motion, 'zendsp reference'"
-        " plans one"
+        "where an experiment is named, it is set up by hand; where that is a motion,"
+        " 'zendsp reference' plans one"
     )
     return by_hand if d.next_recording.reference is None else ""
 

@@ -3,10 +3,10 @@ numbers.
 
 In a recording of zendsp the first line is a comment for people, and the last line, a comment too,
 holds the metadata; readers that know ``#`` skip both. The separator, ``,`` ``;`` or tab, is found
-from the header and may also end each line; ``;`` with decimal commas is understood. A column of
-dates or times of day (ISO 8601, or day.month.year) becomes seconds since its first; a column of
-words only is left out. The text is UTF-8, UTF-16 with its mark, or Windows-1252, as spreadsheets
-write. A file ``.gz`` is unpacked.
+from the header and may also end each line; where the header has none, blanks part the columns.
+``;`` with decimal commas is understood. A column of dates or times of day (ISO 8601, or
+day.month.year) becomes seconds since its first; a column of words only is left out. The text is
+UTF-8, UTF-16 with its mark, or Windows-1252, as spreadsheets write. A file ``.gz`` is unpacked.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ ISO = "2026-02-01 12:00:00.5"
 NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
 SHOWN = 40  # characters of a line in a message
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
+WORD = re.compile(r"[^\s\[]+(?:\s*\[[^\]]*\])?")  # a name, perhaps with its unit: t [s]
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -92,6 +93,9 @@ def read(path: Path) -> Raw:
             f"{path}: is empty; expected a line of column names, then rows of numbers"
         )
     delimiter = next((d for d in (";", "\t", ",") if d in header_line), ",")
+    if words := _by_blanks(header_line, rows.partition("\n")[0]):
+        header_line, delimiter = " ".join(words), " "
+        rows = "\n".join(" ".join(line.split()) for line in rows.split("\n"))
     if header_line.endswith(delimiter):
         header_line = header_line[:-1]
         rows = "\n".join(line.removesuffix(delimiter) for line in rows.split("\n"))
@@ -100,6 +104,16 @@ def read(path: Path) -> Raw:
         units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
         rows, first_line = rows.partition("\n")[2], first_line + 1
     return _numbers(path, rows, Raw({}, units, {}, metadata), delimiter, first_line + 1)
+
+
+def _by_blanks(header: str, row: str) -> list[str]:
+    """The names of a header that blanks part, as they part as many numbers in the row below it;
+    empty of any other.
+    """
+    names = [word.replace(" ", "") for word in WORD.findall(header)]
+    numbers = row.replace(",", ".").split()
+    same = len(names) == len(numbers) > 1 and not any(d in header for d in ";\t,")
+    return names if same and all(map(_is_number, numbers)) else []
 
 
 def _apart(text: str) -> tuple[str, str]:

@@ -3,7 +3,8 @@
 A recording is written as ``data``, a matrix with one column per signal, time first; ``names`` and
 ``units``, cell arrays with one entry per column; and ``zendsp``, the metadata as JSON text.
 In foreign files, structures and cells are walked: the fields become names such as
-``Theta1.signals.values`` and ``Y_id{1}``.
+``Theta1.signals.values`` and ``Y_id{1}``. What dSPACE's ControlDesk exports has columns by the
+names of its variables, and the column ``time``.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ SHARED = 10  # times that a part of a file may be met, in the mean, and FEW more
 FEW = 1000
 WIDE = ("double", "single", "int64", "uint64", "int32", "uint32")  # as columns 8 bytes a number
 OWN = ("data", "names", "units", KEY)
+SERIES = "values"  # the field of Simulink's structures that holds a signal; others say how it looks
 
 
 def write(recording: Recording, metadata: str, path: Path) -> None:
@@ -148,20 +150,54 @@ class _Parts:
 def _walk(name: str, value: Any, found: Raw) -> None:
     """Collect numeric vectors, matrices and scalars from nested structures and cells."""
     if isinstance(value, Mapping):
-        for key, item in value.items():
-            _walk(f"{name}.{key}", item, found)
+        _structure(name, value, found)
     elif not isinstance(value, np.ndarray):
         found.refused[name] = f"holds {type(value).__name__}, not numbers"
     elif value.dtype.names:
         for index, record in enumerate(value.reshape(-1)):
             place = name if value.size == 1 else f"{name}({index + 1})"
-            for key in value.dtype.names:
-                _walk(f"{place}.{key}", record[key], found)
+            if not _of_dspace(record, found):
+                _structure(place, {key: record[key] for key in value.dtype.names}, found)
     elif value.dtype == object:
         for index, item in enumerate(value.reshape(-1, order="F")):
             _walk(f"{name}{{{index + 1}}}", item, found)
     else:
         found.sort(name, value)
+
+
+def _structure(place: str, fields: Mapping[str, Any], found: Raw) -> None:
+    """The fields of a structure. Beside a signal of Simulink, what has not its rows describes it,
+    as ``plotStyle`` does.
+    """
+    rows = max(np.shape(fields.get(SERIES, ())), default=0)
+    for key, item in fields.items():
+        if rows and np.size(item) > 1 and rows not in np.shape(item) and item.dtype.kind in "fiub":
+            found.refused[f"{place}.{key}"] = f"describes {place}.{SERIES}"
+        else:
+            _walk(f"{place}.{key}", item, found)
+
+
+def _of_dspace(record: Any, found: Raw) -> bool:
+    """Whether a structure is what ControlDesk exports: ``X`` with the time, and in ``Y`` a variable
+    each by Name, Data and Unit. Its columns are then found.
+    """
+    if not {"X", "Y"} <= set(record.dtype.names):
+        return False
+    x, y = (np.asarray(record[key]).reshape(-1) for key in "XY")
+    fields = set(y.dtype.names or ())
+    if "Data" not in (x.dtype.names or ()) or not {"Name", "Data"} <= fields:
+        return False
+    paths = ["".join(_texts(variable["Name"])).replace('"', "") for variable in y]
+    names = [path.rpartition("/")[2] for path in paths]
+    for path, name, variable in zip(paths, names, y, strict=True):
+        column = name if names.count(name) == 1 else path
+        found.sort(column, variable["Data"])
+        found.units[column] = "".join(_texts(variable["Unit"])) if "Unit" in fields else ""
+    for k, clock in enumerate(x, start=1):  # one for each raster
+        column = "time" if len(x) == 1 else f"time{k}"
+        found.sort(column, clock["Data"])
+        found.units[column] = "s"
+    return True
 
 
 def _own(path: Path, contents: dict[str, Any]) -> Raw:
