@@ -150,9 +150,8 @@ def _decided(
             better = _makes_better(decision, parts.test)
             refined = decision.claims and decision.alone is not decision.final
             if refined and (not better or _blurred(decision, given)):
-                plainer = _unrefined_by(decision)
-                better = _makes_better(plainer, parts.test)
-                decision = plainer
+                decision = _unrefined_by(decision)
+                better = _makes_better(decision, parts.test)
             asked = with_reasons(claimed, rest, first, decision)
             if decision.claims and better:
                 if any(c.effect != "unknown" for c in decision.claims):
@@ -186,10 +185,12 @@ def _makes_better(decision: Decision, test: Data) -> bool:
 
 
 def _unrefined_by(decision: Decision) -> Decision:
-    """The decision without its refinements. They may be likelier and yet far off, as a falling
-    friction is where a slowing joint may or may not stick.
+    """The decision without the refinements that its claims do not need. They may be likelier and
+    yet far off, as a falling friction is where a slowing joint may or may not stick.
     """
-    return replace(decision, final=decision.alone, after=decision.bare, refinements=())
+    needed = {t.effect for t in decision.alone.model.at(decision.joint)}
+    kept = tuple(c for c in decision.refinements if c.term.effect in needed)
+    return replace(decision, final=decision.alone, after=decision.bare, refinements=kept)
 
 
 def _blurred(decision: Decision, given: Model) -> bool:
