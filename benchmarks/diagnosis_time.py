@@ -35,7 +35,7 @@ CASES = (  # joints, seconds of each recording, what is concealed, case
     (1, 20.0, "hysteresis", Request(700_003, "single", "rotary", "hysteresis", 0.3)),
     (1, 20.0, "backlash", Request(700_004, "single", "rotary", "backlash", 0.3)),
     (1, 20.0, "Coulomb and delay", Request(700_005, "pair", "rotary", "coulomb+delay")),
-    (1, 20.0, "foreign", Request(700_006, "foreign", "rotary")),
+    (1, 20.0, "foreign", Request(700_006, "foreign", "rotary", "sinqv", 0.1)),
     (1, 40.0, "Stribeck", Request(700_002, "single", "rotary", "stribeck", 0.3)),
     (1, 80.0, "Stribeck", Request(700_002, "single", "rotary", "stribeck", 0.3)),
     (7, 20.0, "Coulomb", Request(700_007, "single", "urdf", "coulomb", 0.3)),
