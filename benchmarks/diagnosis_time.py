@@ -2,10 +2,12 @@
 linearly with the recording.
 
     python benchmarks/diagnosis_time.py [--jobs 2] [--only joints=7] [--json FILE]
+    python benchmarks/diagnosis_time.py --jobs 1 --cases FOLDER
 
 Wall time and CPU time of the command ``zendsp diagnose``, start of the interpreter included, on
-cases made here by the proof's own simulator. Goals: 20 s at 1 kHz of one joint in 5 s, 60 s of
-seven joints in 60 s, on two cores with nothing else to do.
+cases made here by the proof's own simulator, or on those that ``zendsp prove --make`` wrote. Goals:
+20 s at 1 kHz of one joint in 5 s, 60 s of seven joints in 60 s, on two cores with nothing else to
+do.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ CASES = (  # joints, seconds of each recording, what is concealed, case
     (1, 20.0, "hysteresis", Request(700_003, "single", "rotary", "hysteresis", 0.3)),
     (1, 20.0, "backlash", Request(700_004, "single", "rotary", "backlash", 0.3)),
     (1, 20.0, "Coulomb and delay", Request(700_005, "pair", "rotary", "coulomb+delay")),
-    (1, 20.0, "foreign", Request(700_006, "foreign", "rotary")),
+    (1, 20.0, "foreign", Request(700_006, "foreign", "rotary", "sinqv", 0.1)),
     (1, 40.0, "Stribeck", Request(700_002, "single", "rotary", "stribeck", 0.3)),
     (1, 80.0, "Stribeck", Request(700_002, "single", "rotary", "stribeck", 0.3)),
     (7, 20.0, "Coulomb", Request(700_007, "single", "urdf", "coulomb", 0.3)),
@@ -108,10 +110,19 @@ def diagnose(case: Path, jobs: int) -> tuple[str, float, float]:
     "--json", "out", type=click.Path(path_type=Path), default=None,
     help="Also write the rows there.",
 )
-def main(jobs: int, only: str, out: Path | None) -> None:
+@click.option(
+    "--cases", type=click.Path(path_type=Path, exists=True), default=None,
+    help="The folder 'cases' of zendsp prove --make: those instead.",
+)
+def main(jobs: int, only: str, out: Path | None, cases: Path | None) -> None:
     """Measure and print."""
     rows: list[Row] = []
     click.echo(f"load {os.getloadavg()[0]:.1f}, {jobs} jobs")
+    if cases is not None:
+        for case in sorted(cases.glob("case_*")):
+            said, wall, cpu = diagnose(case, jobs)
+            click.echo(f"{case.name:20}{wall:8.1f}{cpu:8.1f}  {said}")
+        return
     click.echo(
         f"{'joints':>6}{'each s':>8}  {'concealed':20}{'wall s':>8}{'CPU s':>8}  {'goal':8}said"
     )

@@ -265,6 +265,23 @@ def test_a_hypothesis_without_gain_under_a_fast_observer_is_tried_under_a_slow_o
     assert found is not None and found.value == -gain * len(asked)
 
 
+@pytest.mark.parametrize(("missing", "fitted"), [(0.0, False), (0.004, True)])
+def test_a_hypothesis_that_gains_nothing_under_a_slow_observer_either_is_left(
+    missing: float, fitted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four more fits to all samples each made the last round of a search its longest."""
+    reference = reality.multisine(6.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+    pushed = reality.simulate(reality.Machine(push=(missing, 0.0, 99.0)), reference, RATE)
+    data = data_of(pushed, model).at_bandwidth(1, 64.0)
+    current = fit_scored(data, model, joint_handles(data, model, 1), (1,), rounds=1)
+    # misled so far under its own observer that only the slow one is left
+    monkeypatch.setattr(ShortFits, "_upon_its_numbers", lambda *given: given[3:])
+    short = Rounds(data, 1, 1, lambda _: None).short
+    found = short._short_fits(current, [OFFSET], data.at_bandwidth(1, 16.0))
+    assert (found is not None) is fitted
+
+
 @pytest.mark.parametrize(("kept", "fitted"), [(50.0, ["stiffness"]), (5000.0, [])])
 def test_an_effect_that_promises_more_than_the_listed_ones_gained_is_fitted_too(
     kept: float, fitted: list[str], monkeypatch: pytest.MonkeyPatch

@@ -5,11 +5,13 @@ integrator.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from math import copysign, sin, tanh
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from zendsp.diagnosis.data.prepare import prepare
@@ -22,11 +24,14 @@ from zendsp.diagnosis.measure.likelihood import (
 )
 from zendsp.physics.calibration.convergence import step_error, with_step_error
 from zendsp.physics.calibration.covariance import robust_covariance
+from zendsp.physics.calibration.descent import Descent
 from zendsp.physics.calibration.fit import Data, fit
 from zendsp.physics.calibration.handles import free_handles, get_values, set_values
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.kernel.native import native
+
+Array = npt.NDArray[np.float64]
 
 T, N = 0.002, 3000
 TRUE = np.array([0.010, 0.004, 0.03, 0.2])  # inertia, viscous, coulomb, gravity
@@ -249,6 +254,45 @@ def test_the_deviance_of_a_fit_is_that_of_its_model(data: Data) -> None:
     )
     tuned, value = tune_bandwidth(data, result.model, (1,))
     assert value == deviance(tuned, result.model, (1,))
+
+
+@pytest.fixture
+def passes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The points of each pass that a fit takes from now on."""
+    taken: list[int] = []
+    evaluate = Descent.evaluate
+
+    def counted(self: Descent, points: Sequence[Array]) -> Array:
+        taken.append(len(points))
+        return evaluate(self, points)
+
+    monkeypatch.setattr(Descent, "evaluate", counted)
+    return taken
+
+
+def test_a_fit_that_cannot_get_where_it_is_of_use_ends_at_its_first_step(
+    data: Data, passes: list[int]
+) -> None:
+    model = parse_model(MODEL)
+    handles = free_handles(model)
+    whole = fit(data, model, handles, joints=(1,))
+    near = fit(data, model, handles, joints=(1,), iterations=1)
+    passes.clear()
+    fit(data, near.model, handles, joints=(1,), goal=0.8 * whole.cost)
+    assert passes == [1 + len(handles)]
+    useful = fit(data, model, handles, joints=(1,), goal=1.01 * whole.cost)
+    np.testing.assert_array_equal(useful.x, whole.x)
+
+
+def test_a_brief_fit_takes_no_derivative_where_a_step_ends_it(
+    data: Data, passes: list[int]
+) -> None:
+    model = parse_model(MODEL)
+    handles = free_handles(model)
+    brief = fit(data, model, handles, joints=(1,), tolerance=0.1, brief=True)
+    assert passes[-1] == 1 < passes[-2]
+    whole = fit(data, model, handles, joints=(1,))
+    assert brief.cost < 1.1 * whole.cost
 
 
 def test_a_fit_that_is_asked_for_again_is_remembered_and_its_terms_are_the_callers_own(

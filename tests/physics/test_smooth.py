@@ -7,11 +7,19 @@ from typing import Literal
 import numpy as np
 import pytest
 from scipy.linalg.blas import dtbsv
-from scipy.ndimage import binary_dilation, gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import binary_dilation, gaussian_filter1d, median_filter, uniform_filter1d
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from zendsp.physics.kernel.native import swung
-from zendsp.physics.kernel.smooth import gaussian, lowpassed, moving_mean, polynomial, widened
+from zendsp.physics.kernel.smooth import (
+    ROWS,
+    gaussian,
+    lowpassed,
+    moving_mean,
+    moving_median,
+    polynomial,
+    widened,
+)
 
 SIZES = (5, 50, 2001)
 
@@ -23,6 +31,13 @@ def test_a_moving_mean_is_that_of_scipy(n: int, width: int) -> None:
     # the same sums in the same order
     assert np.array_equal(moving_mean(x, width), uniform_filter1d(x, width))
     assert np.array_equal(moving_mean(x, width, "edge"), uniform_filter1d(x, width, mode="nearest"))
+
+
+@pytest.mark.parametrize("n", [*SIZES, ROWS, ROWS + 1])
+@pytest.mark.parametrize("width", [1, 2, 41])
+def test_a_moving_median_is_that_of_scipy(n: int, width: int) -> None:
+    x = np.random.default_rng(n).normal(size=n)
+    assert np.array_equal(moving_median(x, width), median_filter(x, width, mode="nearest"))
 
 
 @pytest.mark.parametrize("n", SIZES)

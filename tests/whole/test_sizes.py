@@ -34,6 +34,7 @@ TOLD = {
     "host/zendsp/physics/simulation/control.py:simulate_loop": PUBLIC,
     "host/zendsp/physics/calibration/loop.py:simulate_joint_loop": PUBLIC,
     "host/zendsp/physics/calibration/fit.py:fit": PUBLIC,
+    "host/zendsp/diagnosis/measure/likelihood.py:fit_scored": "it passes on what a fit takes",
     "host/zendsp/link/acquire.py:acquire": PUBLIC,
     "host/zendsp/diagnosis/fleet.py:diagnose_each": PUBLIC,
     "host/zendsp/experiment/frequency.py:frequency_response": PUBLIC,

@@ -7,6 +7,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.physics.kernel.smooth import moving_median
+
 Array = npt.NDArray[np.float64]
 
 JUMP_QUANTILE = 0.999  # of the steps: a fast step of the motion
@@ -50,10 +52,7 @@ def stands_out(
 
 def _lasting(step: Array) -> float:
     """A fast step of the motion, without steps that stand alone."""
-    from scipy.ndimage import median_filter  # takes a third of a second
-
-    size = median_filter(np.abs(step), LASTING_ROWS, mode="nearest")
-    return float(np.quantile(size, JUMP_QUANTILE))
+    return float(np.quantile(moving_median(np.abs(step), LASTING_ROWS), JUMP_QUANTILE))
 
 
 def without_spikes(y: Array, count: float) -> tuple[Array, list[int]]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.measure.discrepancy import correction_lag, kept, lacking
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.kernel.smooth import widened
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -94,14 +95,13 @@ def acting_of(part: Lacking, joint: int, quiet: float, least: float | None = Non
     """Where the energy of the missing torque is far above a median, and above ``least`` or, without
     it, a part of its own peak.
     """
-    high = max(float(level.max()) for level in part.levels)
-    above = max(BURST * quiet, OF_PEAK * high if least is None else least)
-    from scipy.ndimage import binary_closing  # takes a third of a second
-
+    peak = max(float(level.max()) for level in part.levels)
+    above = max(BURST * quiet, OF_PEAK * peak if least is None else least)
     masks = []
     for level, rec in zip(part.levels, part.data.records, strict=True):
         gap = max(1, round(0.25 / rec[joint - 1].sample_time))
-        masks.append(binary_closing(np.pad(level > above, 1), iterations=gap)[1:-1])
+        high = widened(np.pad(level > above, 1), gap)  # gaps between are filled
+        masks.append(~widened(~np.pad(high, 1), gap)[2:-2])
     return Acting(part, tuple(masks), above)
 
 

@@ -34,6 +34,7 @@ from zendsp.diagnosis.measure.neighbours import TURNS_ROUND
 from zendsp.diagnosis.measure.structure import unit
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.kernel.smooth import moving_median
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -324,8 +325,6 @@ def apart(
 
 def _summed(parts: Sequence[Acting], joint: int) -> Bursts:
     """The intervals and sizes of an acting torque."""
-    from scipy.ndimage import median_filter  # takes a third of a second
-
     spans: list[tuple[float, float]] = []
     names: list[str] = []
     inside: list[Array] = []
@@ -349,8 +348,9 @@ def _summed(parts: Sequence[Acting], joint: int) -> Bursts:
             each += [float(np.sum(lack[a:b] ** 2)) for a, b in ends]
             # the observer spikes at reversals of friction: intervals as short as its memory are
             # dropped
-            calm = median_filter(lack, max(1, round(1.0 / LACKING_BAND / step)), mode="nearest")
-            peaks += [largest(calm[a:b]) for a, b in ends]
+            if ends:
+                calm = moving_median(lack, max(1, round(1.0 / LACKING_BAND / step)))
+                peaks += [largest(calm[a:b]) for a, b in ends]
             inside.append(smooth[high])
             outside.append(smooth[~high])
             energy[0] += float(np.sum(lack[high] ** 2))
@@ -378,8 +378,6 @@ def periodic(data: Data, model: Model, joint: int) -> float:
     """RMS of the one sine that stands out of the missing torque, as a part of the RMS torque; 0
     where none does in every recording (Fisher 1929, with the noise of the neighbouring lines).
     """
-    from scipy.ndimage import median_filter  # takes a third of a second
-
     sizes, places = [], []
     scale = np.sqrt(mean_square(data, joint))
     for lack, rec in zip(lacking(data, model, joint, SINE_BAND), data.records, strict=True):
@@ -387,7 +385,7 @@ def periodic(data: Data, model: Model, joint: int) -> float:
         here = lack[kept(record, SINE_BAND)]
         window, seconds = np.hanning(len(here)), len(here) * record.sample_time
         power = np.abs(np.fft.rfft((here - here.mean()) * window)) ** 2
-        level = median_filter(power, 2 * NEIGHBOUR_LINES + 1, mode="nearest") / np.log(2)
+        level = moving_median(power, 2 * NEIGHBOUR_LINES + 1) / np.log(2)
         out = power[2:] / np.maximum(level[2:], 1e-300)
         peak = int(np.argmax(out))
         if len(out) * np.exp(-float(out[peak])) > CHANCE:

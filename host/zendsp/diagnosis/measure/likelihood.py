@@ -7,6 +7,7 @@ maximised over the observer's bandwidth, sees both.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -89,6 +90,12 @@ def deviance_of(data: Data, joint: int, r: Array) -> float:
     return n * float(np.log(max(mean, 1e-12))) + log_weights(data, joint)
 
 
+def cost_of(data: Data, joint: int, value: float) -> float:
+    """The sum of squares of one joint's innovations at which ``deviance`` has a value."""
+    n = max(informative(data, joint), 1)
+    return n * float(np.exp(min((value - log_weights(data, joint)) / n, 500.0)))
+
+
 def fastest(data: Data) -> float:
     """Fastest observer that the sample time allows, rad/s."""
     return min(FASTEST, 0.5 / data.records[0][0].sample_time)
@@ -143,6 +150,7 @@ def fit_scored(
     iterations: int = 12,
     jobs: int = 2,
     rounds: int = 4,
+    goal: float = math.inf,
 ) -> Scored:
     """The fit of a model and its tuned observer, repeated until the bandwidth converges.
 
@@ -158,10 +166,15 @@ def fit_scored(
         Threads.
     rounds : int
         Most changes of bandwidth.
+    goal : float
+        The deviance of the joint below which the fit is of any use, see ``fit``.
     """
     best: Scored | None = None
     for _ in range(rounds):
-        result = fit(data, model, handles, joints=joints, iterations=iterations, jobs=jobs)
+        most = cost_of(data, joints[0], goal) if goal < math.inf else goal
+        result = fit(
+            data, model, handles, joints=joints, iterations=iterations, jobs=jobs, goal=most
+        )
         value = fitted_deviance(data, result, joints)
         if best is None or value < best.deviance:
             best = Scored(result, data, value, tuple(joints))
@@ -186,8 +199,9 @@ def slower(best: Scored, joint: int, jobs: int = 1) -> Scored:
     """
     while (half := 0.5 * best.data.bandwidth[joint - 1]) >= SLOWEST:
         data, handles = best.data.at_bandwidth(joint, half), best.fit.handles
-        other = fit_scored(data, best.model, handles, (joint,), jobs=jobs, rounds=1)
-        if not other.deviance < best.deviance - BETTER:
+        least = best.deviance - BETTER
+        other = fit_scored(data, best.model, handles, (joint,), jobs=jobs, rounds=1, goal=least)
+        if not other.deviance < least:
             break
         best = other
     return best

@@ -153,6 +153,7 @@ class Rounds:
             iterations=5,
             tolerance=1e-3,
             jobs=self.jobs,
+            brief=True,
         )
         level = deviance(slow, base.model, joints)
         reach = [r for r in ranked[:8] if r.rank > REACH * ranked[0].rank and r.rank > WAIT]
@@ -166,6 +167,7 @@ class Rounds:
                 iterations=6,
                 tolerance=1e-3,
                 jobs=1,
+                brief=True,
             )
             return replace(rival, rank=level - deviance(slow, result.model, joints) - rival.price)
 

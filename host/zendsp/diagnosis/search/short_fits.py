@@ -69,6 +69,13 @@ class ShortFits:
         candidate, result, value = self._from_starts(current, group, begin, whole)
         if not math.isfinite(value):
             return None
+        if data is not current.data and not get_effect(group[0].effect).slow:
+            paid = self._rival(candidate, Scored(result, data, value, ())).price
+            look = first_look(data, result.model, self.joint)
+            joints = (self.joint,)
+            gain = deviance(look, begin.model, joints) - deviance(look, result.model, joints)
+            if gain < WAIT + paid:  # not even there
+                return None
         # worse than the model that it contains, or the fit to thinned recordings, only a part,
         # gained more
         worse = screened_for and value > current.deviance + WAIT

@@ -11,6 +11,7 @@ import numpy as np
 
 from zendsp.diagnosis.measure.likelihood import (
     Scored,
+    cost_of,
     deviance,
     fit_scored,
     informative,
@@ -37,10 +38,11 @@ STRAIGHT = 2.0  # force of a hysteresis over its spring's largest torque: above,
 HALVINGS = 2  # most halvings of the integration step, in the last fit of a joint
 
 
-def _refitted(data: Data, model: Model, joint: int, jobs: int, rounds: int) -> Scored:
-    return fit_scored(
-        data, model, joint_handles(data, model, joint), (joint,), jobs=jobs, rounds=rounds
-    )
+def _refitted(
+    data: Data, model: Model, joint: int, jobs: int, rounds: int, goal: float = math.inf
+) -> Scored:
+    handles = joint_handles(data, model, joint)
+    return fit_scored(data, model, handles, (joint,), jobs=jobs, rounds=rounds, goal=goal)
 
 
 def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
@@ -62,8 +64,9 @@ def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
     )
     rest = (t for t in current.model.terms if t is not term and t is not offset)
     model = current.model.with_terms((*rest, *parts))
-    other = _refitted(current.data, model, found.joint, jobs, 1)
-    return other if other.deviance < current.deviance + NO_WORSE else current
+    least = current.deviance + NO_WORSE
+    other = _refitted(current.data, model, found.joint, jobs, 1, least)
+    return other if other.deviance < least else current
 
 
 def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
@@ -83,10 +86,9 @@ def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
     numbers = {"coefficient": term.value("stiffness"), "neutral": begin}
     spring = make_term(get_effect("stiffness"), found.joint, numbers)
     others = (t for t in current.model.terms if t is not term)
-    other = _refitted(
-        current.data, current.model.with_terms((*others, spring)), found.joint, jobs, 3
-    )
-    return other if other.deviance < current.deviance + NO_WORSE else current
+    model, least = current.model.with_terms((*others, spring)), current.deviance + NO_WORSE
+    other = _refitted(current.data, model, found.joint, jobs, 3, least)
+    return other if other.deviance < least else current
 
 
 def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
@@ -132,8 +134,9 @@ def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
     else:
         named = make_term(get_effect("coulomb"), joint, {"level": term.value("force")})
     model = best.model.with_terms((*others, named))
-    other = _refitted(best.data, model, joint, jobs, 1)
-    return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
+    least = best.deviance + (1.0 - SUFFICIENT) * loss
+    other = _refitted(best.data, model, joint, jobs, 1, least)
+    return other if other.deviance < least else best
 
 
 def _as_bristles(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
@@ -153,10 +156,10 @@ def _as_bristles(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     bristles = {"stiffness": stiffness, "damping": damping}
     soft = make_term(get_effect("presliding"), found.joint, bristles)
     rest = tuple(t for t in best.model.terms if t is not term)
-    both = _refitted(
-        best.data, best.model.with_terms((*rest, friction, soft)), found.joint, jobs, 3
-    )
-    return both if both.deviance < best.deviance - price((soft,), n) - NO_WORSE else best
+    model = best.model.with_terms((*rest, friction, soft))
+    least = best.deviance - price((soft,), n) - NO_WORSE
+    both = _refitted(best.data, model, found.joint, jobs, 3, least)
+    return both if both.deviance < least else best
 
 
 def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
@@ -173,9 +176,9 @@ def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
         plain = get_effect(effect.symmetric)
         one = make_term(plain, found.joint, {plain.linear[0]: mean})
         model = best.model.with_terms(tuple(one if t is term else t for t in best.model.terms))
-        other = _refitted(best.data, model, found.joint, jobs, 1)
-        if other.deviance < best.deviance + price((term,), n, (name,)):
-            best = other
+        least = best.deviance + price((term,), n, (name,))
+        other = _refitted(best.data, model, found.joint, jobs, 1, least)
+        best = other if other.deviance < least else best
     return best
 
 
@@ -254,8 +257,9 @@ def _as_two_times(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
     beside = make_term(get_effect(other), found.joint, {names[other]: half})
     rest = tuple(t for t in best.model.terms if t is not new[here])
     model = best.model.with_terms((*rest, shorter, beside))
-    both = _refitted(best.data, model, found.joint, jobs, 3)
-    return both if both.deviance < best.deviance - price((beside,), n) - NO_WORSE else best
+    least = best.deviance - price((beside,), n) - NO_WORSE
+    both = _refitted(best.data, model, found.joint, jobs, 3, least)
+    return both if both.deviance < least else best
 
 
 def _as_delay(found: JointSearch, best: Scored, jobs: int) -> Scored:
@@ -269,8 +273,9 @@ def _as_delay(found: JointSearch, best: Scored, jobs: int) -> Scored:
         return best
     late = make_term(get_effect("delay"), found.joint, {"time": term.value("time_constant")})
     model = best.model.with_terms(tuple(late if t is term else t for t in best.model.terms))
-    other = _refitted(best.data, model, found.joint, jobs, 1)
-    return other if other.deviance < best.deviance + NO_WORSE else best
+    least = best.deviance + NO_WORSE
+    other = _refitted(best.data, model, found.joint, jobs, 1, least)
+    return other if other.deviance < least else best
 
 
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
@@ -294,9 +299,10 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
             )
             if hopeless(best, model, found.joint, jobs) is not None:
                 continue
-            trial = _refitted(best.data, model, found.joint, jobs, 2)
             idle = term.effect in added and vanishes(certain, term)
-            if idle or trial.deviance < best.deviance + price((term,), n):
+            least = math.inf if idle else best.deviance + price((term,), n)
+            trial = _refitted(best.data, model, found.joint, jobs, 2, least)
+            if trial.deviance < least:
                 best = trial
                 if term.effect not in added or term.effect in {
                     t.effect for t in found.base.model.at(found.joint)
@@ -364,6 +370,7 @@ def hopeless(best: Scored, model: Model, joint: int, jobs: int) -> Scored | None
     it; else None.
     """
     handles = joint_handles(best.data, model, joint)
+    least = best.deviance + SIMPLER_COST * informative(best.data, joint)
     short = fit(
         best.data,
         model,
@@ -373,9 +380,10 @@ def hopeless(best: Scored, model: Model, joint: int, jobs: int) -> Scored | None
         tolerance=1e-2,
         jobs=jobs,
         brief=True,
+        goal=cost_of(best.data, joint, least),
     )
     data, value = tune_bandwidth(best.data, short.model, (joint,))
-    if value <= best.deviance + SIMPLER_COST * informative(best.data, joint):
+    if value <= least:
         return None
     return Scored(short, data, value, (joint,))
 

@@ -4,6 +4,7 @@ one simulation a number, on all threads (the kernel runs outside the interpreter
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -23,6 +24,9 @@ TRIES = 8  # ever shorter steps that are tried before a fit ends
 # of the tolerance: least first-order gain of a step to be tried; in a brief fit, and in one whose
 # numbers are reported
 WORTH_A_STEP = 0.1, 1e-3
+# times what a step promises to first order: a fit that would need more to be of any use ends.
+# Effects that counted gained up to 9.4 times their promise (a voltage limit), others up to 5.5
+BEYOND_PROMISE = 10.0
 
 
 class Descent:
@@ -165,20 +169,21 @@ class Descent:
         return ways, -float(gradient @ step(0.0))
 
     def better(
-        self, x: Array, r: Array, jac: Array, damping: float, last: bool, least: float
+        self, x: Array, r: Array, jac: Array, damping: float, ends: float, least: float
     ) -> tuple[float, Array, Array, Array | None] | None:
-        """A point with a smaller cost: damping, point, residual, and its Jacobian (except for the
-        ``last`` step). None where no step helps, or none promises the ``least`` part of the cost.
+        """A point with a smaller cost: damping, point, residual, and its Jacobian (not of a last
+        step, which promises less than ``ends``). None where no step helps, or none promises the
+        ``least`` decrease.
         """
         cost = float(r @ r)
         shorter = [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]
         ways, promised = self.ways(x, r, jac)
-        if promised < least * cost and not self.rough:
+        if promised < least and not self.rough:
             return None
         for dampings in ([damping], shorter):  # then all shorter steps at once
             trials = ways(dampings)
             slope: Array | None = None
-            if len(trials) == 1 and not last:  # most first steps are accepted
+            if len(trials) == 1 and promised > ends:  # most first steps are accepted
                 first, slope = self.jacobian(trials[0])
                 rows = first[None]
             else:
@@ -191,16 +196,21 @@ class Descent:
         return None
 
     def descend(
-        self, x: Array, iterations: int, tolerance: float, brief: bool
+        self, x: Array, iterations: int, tolerance: float, brief: bool, goal: float = math.inf
     ) -> tuple[Array, Array, Array]:
-        """The minimum reached from a point, with residual and Jacobian there."""
+        """The minimum reached from a point, with residual and Jacobian there; or a point from which
+        it does not get near a cost of ``goal``.
+        """
         x = np.clip(x, self.low, self.high)
         r, jac = self.jacobian(x)
         cost, damping, done, count = float(r @ r), 1e-3, not len(x), 0
-        least = WORTH_A_STEP[0 if brief else 1] * tolerance
+        worth = WORTH_A_STEP[0 if brief else 1] * tolerance
         while not done and count < iterations:
             count += 1
-            better = self.better(x, r, jac, damping, brief and count == iterations, least)
+            least = max(worth * cost, (cost - goal) / BEYOND_PROMISE)
+            last = brief and count == iterations
+            ends = math.inf if last else tolerance * cost if brief and not self.rough else -math.inf
+            better = self.better(x, r, jac, damping, ends, least)
             if not better:
                 done = True
                 break
@@ -211,6 +221,6 @@ class Descent:
             if slope is not None:
                 self._spare.append(jac)
                 jac = slope
-            elif not brief or not (done or count == iterations):
+            elif not brief or not (done or last):
                 jac = self.jacobian(x, r)[1]
         return x, r, jac

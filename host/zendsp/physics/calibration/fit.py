@@ -7,6 +7,7 @@ give too small uncertainties.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -227,6 +228,7 @@ def fit(
     start: Array | None = None,
     central: bool = False,
     brief: bool = False,
+    goal: float = math.inf,
 ) -> Fit:
     """Fit the free numbers of a model to recordings.
 
@@ -251,6 +253,8 @@ def fit(
         cost.
     brief : bool
         An intermediate fit: the Jacobian, and so the covariance, may be that of the step before.
+    goal : float
+        The cost below which the fit is of any use: it ends where no step promises that.
     """
     handles = tuple(handles)
     wanted = tuple(joints or range(1, data.joints + 1))
@@ -258,7 +262,7 @@ def fit(
     key = (
         *(id(record) for rec in data.records for record in rec),
         (data.bandwidth, data.inner, tuple(data.ranges.items())),
-        (_content(model), handles, wanted, iterations, tolerance, begin, central, brief),
+        (_content(model), handles, wanted, iterations, tolerance, begin, central, brief, goal),
     )
     known = data.records[0][wanted[0] - 1].fits
     if key in known:  # with the caller's own terms, as after a new fit
@@ -269,7 +273,7 @@ def fit(
         bounds = bounds_and_steps(data, model, handles)
         problem = Descent(records, data.inner, model, handles, bounds, each, central)
         x = get_values(model, handles) if start is None else start
-        x, r, jac = problem.descend(x, iterations, tolerance, brief)
+        x, r, jac = problem.descend(x, iterations, tolerance, brief, goal)
     rows = len(r) - np.count_nonzero(problem.prior)  # of the recordings
     covariance = robust_covariance(jac[:rows], r[:rows], block_count(data), problem.prior)
     low, high = problem.low, problem.high

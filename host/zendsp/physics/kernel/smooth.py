@@ -11,6 +11,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 # beyond the ends: the row mirrored, or its last value
 Ends = Literal["symmetric", "edge"]
+ROWS = 4096  # of which the windows are sorted at a time
 
 
 def moving_mean(x: npt.NDArray[Any], width: int, ends: Ends = "symmetric") -> Array:
@@ -74,3 +75,13 @@ def widened(mask: npt.NDArray[np.bool_], around: int) -> npt.NDArray[np.bool_]:
     """Where a mask (n,) is true within so many samples before and after."""
     count = np.cumsum(np.pad(mask, (around + 1, around)))
     return np.asarray(count[2 * around + 1 :] > count[: len(mask)])
+
+
+def moving_median(row: Array, width: int) -> Array:
+    """Median of ``width`` values about each value of a row, (n,), whose last values go on beyond
+    it; one more before than after, and the upper of two medians, where that is even.
+    """
+    whole = np.pad(row, (width // 2, width - width // 2 - 1), "edge")
+    windows = np.lib.stride_tricks.sliding_window_view(whole, width)
+    some = [windows[i : i + ROWS] for i in range(0, len(row), ROWS)]  # each is copied
+    return np.concatenate([np.partition(w, width // 2, axis=1)[:, width // 2] for w in some])
