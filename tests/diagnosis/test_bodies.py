@@ -171,7 +171,7 @@ def test_a_tilted_base_is_named_as_gravity_direction_and_not_as_a_body(record) -
     assert abs(found.term.value("angle_y")) < 1e-3
 
 
-def test_a_tilted_base_is_found_beside_a_payload_that_weighs_as_much_as_the_arm(record) -> None:  # type: ignore[no-untyped-def]  # noqa: E501
+def test_a_tilted_base_is_found_beside_a_payload_that_weighs_as_much_as_the_arm(record) -> None:  # type: ignore[no-untyped-def]
     payload, tilt = searched(record("heavy", Arm(mass=6.0, tilt=np.deg2rad(2.0)))).found
     assert (payload.term.effect, tilt.term.effect) == ("payload", "base_tilt")
     # the payload, estimated before it, keeps a part until all are estimated once more
