@@ -172,6 +172,13 @@ def test_a_tilted_base_is_named_as_gravity_direction_and_not_as_a_body(record) -
     assert abs(found.term.value("angle_y")) < 1e-3
 
 
+def test_a_tilted_base_is_found_beside_a_payload_that_weighs_as_much_as_the_arm(record) -> None:  # type: ignore[no-untyped-def]
+    payload, tilt = searched(record("heavy", Arm(mass=6.0, tilt=np.deg2rad(2.0)))).found
+    assert (payload.term.effect, tilt.term.effect) == ("payload", "base_tilt")
+    # the payload, estimated before it, keeps a part until all are estimated once more
+    assert abs(tilt.term.value("angle_x")) == pytest.approx(np.deg2rad(2.0), rel=0.1)
+
+
 def test_a_wrong_gain_of_one_joint_is_not_claimed_as_a_body(record) -> None:  # type: ignore[no-untyped-def]
     search = searched(record("gain", Arm(gain=0.93)))
     assert search.found == () and search.aside == {2}

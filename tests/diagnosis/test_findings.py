@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.naming import (
     _numbers,
     _same,
     between,
+    is_no_law,
     may_be_nothing,
     one_number,
     runs_out,
@@ -281,6 +282,16 @@ def test_a_number_known_to_a_third_only_limits_the_confidence_of_its_law(
     values = {"coefficient": Estimate(0.7, std, "N m/rad³"), "neutral": Estimate(0.1, 0.3, "rad")}
     assert least < one_number("cubic_stiffness", values) <= most
     assert one_number("dead_zone", values) == 1.0
+
+
+@pytest.mark.parametrize(("time", "refines"), [(136e-6, True), (150e-6, False)])
+def test_a_law_less_sure_than_a_third_by_its_number_is_not_stated(
+    time: float, refines: bool
+) -> None:
+    """Half a step of another simulator beside a spring had been a lag, 31 % sure."""
+    values = {"time_constant": Estimate(time, 54e-6, "s")}
+    assert is_no_law("lag", values, one_number("lag", values)) is refines
+    assert not is_no_law("coulomb", {"level": Estimate(0.1, 0.01, "N m")}, 0.3)
 
 
 @pytest.mark.parametrize(("kind", "law", "others"), [

@@ -42,6 +42,8 @@ from zendsp.physics.model import Quantity, Term
         ("coulomb", 0.007, 0.008, True),  # what every machine has
         ("dead_zone", 0.02, 0.01, False),  # a function of the state, as others may be
         ("dead_zone", 0.02, 0.0, True),  # and nothing is left that speaks against it
+        ("coupling", 0.02, 0.01, False),  # a function of the state of another joint
+        ("coupling", 0.02, 0.0, True),
         ("elasticity", 0.02, 0.01, True),  # no function of the state
         ("gain_drift", 0.02, 0.005, True),  # over time: no function of the state resembles it
     ],

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from integrated import J, N, State, T, command, integrate, kernel, rigid
+from integrated import J, N, State, T, command, integrate, kernel, recorded, rigid
 from scipy.optimize import brentq
 
 from zendsp.diagnosis.data.prepare import prepare
@@ -223,3 +224,34 @@ def test_no_spring_is_bent_where_a_recording_begins_at_rest() -> None:
     assert np.ptp(off - np.polyval(np.polyfit(np.arange(rows), off, 1), np.arange(rows))) < (
         0.2 * static
     )
+
+
+def test_the_load_of_a_single_joint_hangs_where_it_is_in_a_urdf_too(tmp_path: Path) -> None:
+    k, c, load, weight = 8.0, 0.02, 0.008, 0.6  # its own weight bends the spring by up to 75 mrad
+
+    def derivative(x: State, _t: float, u: float) -> State:
+        spring = k * (x[0] - x[2]) + c * (x[1] - x[3])
+        falls = spring - weight * math.sin(x[2])
+        return x[1], (u - spring) / (J - load), x[3], falls / load
+
+    true = integrate(derivative, 4)[:, 0]
+    spring = {"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}
+    model, record = recorded(true, [spring], J, weight)
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="arm"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 -0.1"/>'
+        f'<mass value="{weight / 0.981}"/><inertia ixx="1e-9" iyy="{load - weight / 98.1}"'
+        ' izz="1e-9" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" type="revolute">'
+        '<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>'
+        '<limit lower="-9" upper="9" effort="99" velocity="99"/></joint></robot>'
+    )
+    rotor = {"kind": "inertia", "joint": 1, "amount": J - load}
+    mechanism = {"kind": "urdf", "file": str(tmp_path / "arm.urdf")}
+    tree = parse_model({"sample_time": T, "mechanism": mechanism, "effect": [rotor, spring]})
+    signals = Signals(
+        "run", np.arange(N) * T, T, record.position[:, None], command()[:, None], None, np.zeros(1)
+    )
+    own = prepare([signals], tree, 64.0).records[0][0]
+    errors = [
+        float(np.std(run(r, m, 64.0).innovations)) for r, m in ((record, model), (own, tree))
+    ]
+    assert errors[1] < 3.0 * errors[0]  # hung from the motor: 84 times

@@ -37,7 +37,8 @@ def stated(claim: Claim, decision: Decision) -> bool:
 
 def _needed(name: str, decision: Decision) -> float:
     """Probability above which an effect's law is named."""
-    bends = mechanism_of(name) in STRUCTURED and get_effect(name).over != "time"
+    effect = get_effect(name)
+    bends = effect.coupled or (mechanism_of(name) in STRUCTURED and effect.over != "time")
     return STATED_BESIDE if bends and _left(decision) > SIMULATORS_DIFFER else STATED_ALONE
 
 

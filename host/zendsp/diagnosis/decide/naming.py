@@ -26,6 +26,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PLAIN,
     PREDICTED,
     SIMULATORS_DIFFER,
+    STATED_ALONE,
     SURE,
     TOLERANCE,
 )
@@ -84,9 +85,10 @@ def name_findings(
                 finding = _finding(given, decision, whole, claim, share)
             # from these recordings alone: on another day a machine's friction may be half as large,
             # but not more different between the directions
-            if claim.effect != "unknown" and _is_no_law(
+            if claim.effect != "unknown" and is_no_law(
                 claim.effect,
                 _numbers(given, decision, whole, claim, not get_effect(claim.effect).symmetric),
+                one_number(claim.effect, finding.parameters),
             ):
                 refinements.append(finding)
             else:
@@ -378,8 +380,12 @@ def runs_out(effect: str, values: Mapping[str, Estimate]) -> bool:
     )
 
 
-def _is_no_law(effect: str, values: Mapping[str, Estimate]) -> bool:
-    return may_be_nothing(effect, values) or runs_out(effect, values)
+def is_no_law(effect: str, values: Mapping[str, Estimate], sure: float) -> bool:
+    """Whether a claimed law only refines the fit, by its numbers. ``sure``: the probability that
+    the recordings agree on them (``one_number``); no law less sure than a third is stated.
+    """
+    doubted = sure < STATED_ALONE and not get_effect(effect).common
+    return doubted or may_be_nothing(effect, values) or runs_out(effect, values)
 
 
 def _unrefined(decision: Decision, claim: Claim) -> Fit | None:

@@ -25,7 +25,7 @@ from zendsp.physics.calibration.predict import damping_along, response, run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Quantity, Term, per_joint
-from zendsp.physics.robots.bodies import Links, change_of, turned_gravity
+from zendsp.physics.robots.bodies import Links, body_terms, change_of, turned_gravity
 
 Array = npt.NDArray[np.float64]
 # of the RMS speed: the friction that falls with the speed (Stribeck 1902) has fallen by then. Each
@@ -158,7 +158,7 @@ def _shared(links: Links, joint: int, model: Model, record: JointRecord) -> list
     out: list[Array] = []
     for k in range(len(links.bodies)):
         out += list(links.columns(joint, k)[1]) if links.moves(joint, k) else [np.zeros(n)] * 10
-    weight = links.weight(joint)
+    weight = links.weight(joint, body_terms(model))  # of what was found already too
     for key in ("angle_x", "angle_y"):
         tilt = Term("base_tilt", 1, {key: Quantity(1e-6)})
         out.append((turned_gravity(links.gravity, [tilt]) - links.gravity) / 1e-6 @ weight)

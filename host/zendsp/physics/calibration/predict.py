@@ -330,7 +330,7 @@ def fill_rigid(m: Any, record: JointRecord, model: Model, inertia: Array, bias: 
     """Fill in inertia and torque of the rigid body; the arrays must outlive the call."""
     p = native().doubles
     m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
-    loose = len(record.others) > 1 and any(
+    loose = bool(bias.any()) and any(
         get_effect(t.effect).family == "transmission" for t in model.at(record.joint)
     )
     m.bias_slope = p(record.bias_slope(model)) if loose else native().ffi.NULL

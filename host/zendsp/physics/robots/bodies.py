@@ -230,15 +230,22 @@ class Links:
             axes = [_into(self._moved.turn[k], v) for v in axes]
         return axes
 
-    def weight(self, joint: int) -> Array:
-        """Torque of all links for a unit of gravity along each axis of the base, (3, n)."""
+    def weight(self, joint: int, terms: Sequence[Term] = ()) -> Array:
+        """Torque of all links, with their payloads and errors, for a unit of gravity along each
+        axis of the base, (3, n).
+        """
         if joint not in self._weights:
             total = np.zeros((3, self.motion.shape[2]))
             for k, b in enumerate(self.bodies):
                 if self.moves(joint, k) and b.mass > 0:
                     total += np.tensordot([b.mass, *(b.mass * b.com)], self.pull(joint, k), (0, 1))
             self._weights[joint] = total
-        return self._weights[joint]
+        weight = self._weights[joint]
+        for term in terms:
+            if term.effect != "base_tilt" and self.moves(joint, term.joint - 1):
+                numbers = change_of(term, self.bodies[term.joint - 1])[:4]
+                weight = weight + np.tensordot(numbers, self.pull(joint, term.joint - 1), (0, 1))
+        return weight
 
     def change(self, terms: Sequence[Term], joint: int) -> Change:
         """The change of a joint by body terms; ``bias`` is their torque without the part of the
@@ -247,9 +254,8 @@ class Links:
         n = self.motion.shape[2]
         inertia, torque = np.zeros(n), np.zeros(n)
         gravity = turned_gravity(self.gravity, terms) - self.gravity
-        tilted = bool(np.any(gravity))
-        if tilted:
-            torque += gravity @ self.weight(joint)
+        if np.any(gravity):
+            torque += gravity @ self.weight(joint, terms)
         for term in terms:
             link = term.joint - 1
             if term.effect == "base_tilt" or not self.moves(joint, link):
@@ -258,8 +264,6 @@ class Links:
             felt, borne = self.columns(joint, link)
             inertia += numbers @ felt
             torque += numbers @ borne
-            if tilted:
-                torque += gravity @ np.tensordot(numbers[:4], self.pull(joint, link), (0, 1))
         return Change(inertia, torque - inertia * self.motion[joint, 2])
 
 
