@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import machine
-from zendsp.diagnosis.decide import decide_bodies
+from zendsp.diagnosis.decide import decide_bodies, naming
 from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, beside_bodies
@@ -249,3 +249,29 @@ def test_a_gain_that_a_body_explains_as_well_is_the_less_sure(
     assert (left(850.0).same, left(850.0).most) == (("body",), 0.75)
     assert (left(500.0).same, left(500.0).most) == ((), 1.0)
     assert left(850.0, "delay").same == ()
+
+
+def test_a_body_is_named_before_the_laws_that_were_found_beside_it(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A real arm's balancer, counted beside 150 kg at the tool, cost more than these 150 kg, of
+    which other numbers of the joints took a part.
+    """
+    claim: Any = SimpleNamespace(
+        effect="stiffness", size=1.0, evidence=SimpleNamespace(gain=2115.0), lost=()
+    )
+    decision: Any = SimpleNamespace(
+        joint=2, claims=(claim,), refinements=(), lost=(), before=SimpleNamespace(value=0.9),
+        bursts=None, kind="missing",
+    )  # fmt: skip
+    body: Any = SimpleNamespace(gain=1236.0, square=0.28)
+    monkeypatch.setattr(naming, "body_finding", lambda *_: SimpleNamespace(effect="payload"))
+    law = SimpleNamespace(effect="stiffness", parameters={})
+    monkeypatch.setattr(naming, "_finding", lambda *_: law)
+    monkeypatch.setattr(naming, "_numbers", lambda *_: {})
+    monkeypatch.setattr(naming, "is_no_law", lambda *_: False)
+    monkeypatch.setattr(naming, "shifted", lambda *_: ())
+    monkeypatch.setattr(naming, "at_once", lambda _: ())
+    nothing: Any = None
+    findings, _, _ = naming.name_findings(nothing, nothing, [decision], nothing, [body])
+    assert [f.effect for f in findings] == ["payload", "stiffness"]

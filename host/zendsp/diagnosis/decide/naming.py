@@ -60,15 +60,16 @@ def name_findings(
     Returns
     -------
     findings, refinements, rejected
-        Findings in the order of what their removal costs on the recordings to test on.
+        Findings in the order of what their removal costs on the recordings to test on: pushes and
+        bodies before the joints' laws, whose cost is counted beside them.
     """
-    ranked: list[tuple[float, Finding]] = []
+    ranked: list[tuple[tuple[int, float], Finding]] = []
     refinements: list[Finding] = []
     rejected: list[Rejected] = []
     lacks = (min(1.0, d.before.value) for d in decisions)  # above 1 it does not follow at all
     everything = sum(x**2 for x in lacks) + sum(b.square for b in bodies) or 1.0
-    ranked += [(b.gain, body_finding(b, everything, given)) for b in bodies]
-    ranked += [(math.inf, _disturbance(pushed, given)) for pushed in at_once(decisions)]
+    ranked += [((1, b.gain), body_finding(b, everything, given)) for b in bodies]
+    ranked += [((2, 0.0), _disturbance(pushed, given)) for pushed in at_once(decisions)]
     for decision in decisions:
         joint = decision.joint
         for claim in decision.claims:
@@ -92,7 +93,7 @@ def name_findings(
             ):
                 refinements.append(finding)
             else:
-                ranked.append((claim.evidence.gain, finding))
+                ranked.append(((0, claim.evidence.gain), finding))
             rejected += claim.lost
         refinements += [
             _finding(given, decision, whole, c, min(1.0, c.size**2 / everything))
@@ -102,10 +103,10 @@ def name_findings(
         named = {c.term.effect for c in decision.claims}
         if not any(draws_a_curve(c) for c in decision.claims):  # it may have moved gravity
             ranked += [
-                (0.5 * abs(z), replace(f, share=min(1.0, size**2 / everything)))
+                ((0, 0.5 * abs(z)), replace(f, share=min(1.0, size**2 / everything)))
                 for z, size, f in shifted(given, decision, whole, named, test)
             ]
-    ranked.sort(key=lambda item: -item[0])
+    ranked.sort(key=lambda item: item[0], reverse=True)
     unique = {(r.effect, r.joint): r for r in sorted(rejected, key=lambda r: r.score)}
     worst_first = sorted(unique.values(), key=lambda r: -r.score)
     return tuple(f for _, f in ranked), tuple(refinements), tuple(worst_first[:12])
