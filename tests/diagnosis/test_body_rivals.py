@@ -258,8 +258,9 @@ def test_a_body_is_named_before_the_laws_that_were_found_beside_it(
     which other numbers of the joints took a part.
     """
     claim: Any = SimpleNamespace(
-        effect="stiffness", size=1.0, evidence=SimpleNamespace(gain=2115.0), lost=()
-    )
+        effect="stiffness", size=1.0, evidence=SimpleNamespace(gain=2115.0), lost=(),
+        term=SimpleNamespace(effect="stiffness"),
+    )  # fmt: skip
     decision: Any = SimpleNamespace(
         joint=2, claims=(claim,), refinements=(), lost=(), before=SimpleNamespace(value=0.9),
         bursts=None, kind="missing",
