@@ -69,3 +69,11 @@ def test_a_transmission_may_swing_as_fast_as_rows_can_show(name: str) -> None:
     reduced = 0.25 * known.scale.inertia  # of two equal halves
     fastest = math.sqrt(stiffness.limits(known)[1] / reduced)
     assert fastest * T == pytest.approx(min(math.pi, 2 * math.pi * 200.0 * T))
+
+
+def test_a_dead_zone_swallows_less_than_the_usual_command() -> None:
+    """A slosh tank at a wrist became a dead zone of two to four times its RMS command, at 94 %."""
+    record = prepare([recording(4.0, 0.9)], MODEL).records[0][0]
+    (width,) = library()["dead_zone"].parameters
+    assert width.limits is not None
+    assert width.limits(facts(record))[1] == pytest.approx(0.9 / math.sqrt(2.0), rel=0.02)

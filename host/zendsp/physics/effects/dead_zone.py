@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from zendsp.physics.effects.axes import command_limits
 from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="dead_zone",
     site="actuator",
     mechanism="actuator",
-    parameters=(Parameter("width", "command", lower=0, limits=command_limits, meaning="d"),),
+    parameters=(
+        # a drive that gives nothing for most of its commands does not drive its joint
+        Parameter(
+            "width", "command", lower=0, limits=lambda f: (0.0, f.scale.command), meaning="d"
+        ),
+    ),
     c="return u > p[0] ? u - p[0] : u < -p[0] ? u + p[0] : 0.0;",
     sentence=("The actuator of joint {joint} gives no torque for commands below {width}."),
     experiment=("Slow torque ramps through zero."),
