@@ -284,6 +284,10 @@ def _noted(model: Model, fits: dict[int, Fit]) -> Model:
                     ):
                         old: Quantity = terms[id(t)][h.key]
                         terms[id(t)][h.key] = _known_to(old, h.key, float(s))
+                        for tie in h.ties:
+                            old, leader = terms[id(t)][tie.key], t.value(h.key)
+                            std = math.hypot(tie.ratio * float(s), tie.std * leader)
+                            terms[id(t)][tie.key] = _known_to(old, tie.key, std)
     return replace(
         model,
         mechanism={key: tuple(items) for key, items in mechanism.items()},

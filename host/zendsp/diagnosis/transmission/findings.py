@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.transmission.claims import Claim
+from zendsp.diagnosis.transmission.load_side import LoadSide
 from zendsp.diagnosis.transmission.torsion import Motor, has_bodies, joint_inertia
+from zendsp.physics.calibration.handles import LEADER
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Quantity, Term
 
@@ -62,6 +65,7 @@ def findings_of(
     claims: Sequence[Claim],
     waves: Sequence[Claim],
     load: tuple[float, float],
+    side: LoadSide | None = None,
 ) -> tuple[tuple[Finding, ...], tuple[Term, ...]]:
     """The findings with the contract's names, and the terms for the model."""
     by = {c.name: c for c in claims}
@@ -115,7 +119,7 @@ def findings_of(
         _finding(model, joint, name, claim, numbers, details, claim.size**2 / everything)
         for name, claim, numbers, details in made
     )
-    terms = tuple(_term(model, parts, name, joint, numbers) for name, _, numbers, _ in made)
+    terms = tuple(_term(model, parts, name, joint, numbers, side) for name, _, numbers, _ in made)
     return findings, tuple(t for t in terms if t is not None)
 
 
@@ -128,7 +132,12 @@ def _gap(claim: Claim, pressed: float = 0.0) -> tuple[float, float]:
 
 
 def _term(
-    model: Model, parts: Parts, name: str, joint: int, numbers: dict[str, tuple[float, float]]
+    model: Model,
+    parts: Parts,
+    name: str,
+    joint: int,
+    numbers: dict[str, tuple[float, float]],
+    side: LoadSide | None,
 ) -> Term | None:
     """The term for the model: numbers that the two sensors know well are held; those known no
     better than ``LOOSE`` are fitted to the motor's position. None where the kernel has no such law.
@@ -147,20 +156,34 @@ def _term(
         if "load_inertia" in loose:  # a motor without inertia would follow any motion
             load = min(load, MOST_LOAD * inertia)
             known["load_inertia"] = load, std
+            if side is not None:
+                known["stiffness"] = side.stiffness.ratio * load, side.stiffness.std * load
         known.setdefault("stiffness", ((2 * math.pi * CONTACT) ** 2 * min(load, inertia), 0.0))
         loss = OF_A_CONTACT if name == "backlash" else OF_A_SPRING
         damping = loss * math.sqrt(known["stiffness"][0] * min(load, inertia))
         known.setdefault("damping", (damping, 0.0))
+        dry = side.dry * load if side is not None else 0.0
+        known["load_dry"] = dry, 0.0
+        loose |= {"load_dry"} if dry else set()
     values = {
         p.name: Quantity(
             max(known[p.name][0], p.lower),
-            p.name not in numbers or p.name in loose,
+            p.name in loose or (p.fitted and p.name not in numbers),
             "",
             known[p.name][1],
         )
         for p in get_effect(name).parameters
     }
     return Term(name, joint, values)
+
+
+def rubbing(model: Model, joint: int, side: LoadSide | None) -> tuple[Term, ...]:
+    """The model's own spring with the dry friction of its load, where two sensors show some."""
+    own = [t for t in model.at(joint) if t.effect == "elasticity"]
+    if side is None or not side.dry or not own:
+        return ()
+    level = Quantity(side.dry * own[0].value(LEADER))
+    return (replace(own[0], parameters={**own[0].parameters, "load_dry": level}),)
 
 
 def _bodies(parts: Parts, model: Model, joint: int) -> float:
@@ -184,7 +207,33 @@ def _finding(
     for key, (value, std) in numbers.items():
         size = next((p.size for p in effect.parameters if p.name == key), "position")
         values[key] = Estimate(value, std, unit_of(size, kind, model.actuator.command_unit, torque))
-    if claim.name == "loop":
+    same = claim.same
+    sure = _sure(claim) * (0.5 + 0.5 / (1 + len(same)))
+    return Finding(
+        name,
+        joint,
+        values,
+        sure,
+        share,
+        same,
+        (),
+        _words(name, joint, values, details, torque, same),
+        {"details": {"sensors": SENSORS, **details}},
+        effect.mechanism,
+        {name: 1.0},
+    )
+
+
+def _words(
+    name: str,
+    joint: int,
+    values: dict[str, Estimate],
+    details: DetailsReport,
+    torque: str,
+    same: Sequence[str],
+) -> str:
+    """A finding in words."""
+    if name == "hysteresis" and "torque" in details:
         text = (
             f"The transmission of joint {joint} has hysteresis: unloaded, it stands"
             f" {number(values['step'])} apart after the one torque and after the other (up to"
@@ -197,26 +246,47 @@ def _finding(
         )
     elif name == "elasticity":
         text = f"Joint {joint} is elastic: stiffness {number(values['stiffness'])}."
+        if "load_dry" in values:
+            text += f" Its load rubs by itself: {number(values['load_dry'])}."
     else:
         text = sentence(Term(name, joint, {}), values)
     text += " Measured by the sensors on both sides of its transmission."
-    if claim.same:
-        text += f" This recording cannot tell it from {', '.join(claim.same)}."
-    same = claim.same
-    sure = _sure(claim) * (0.5 + 0.5 / (1 + len(same)))
-    return Finding(
-        name,
-        joint,
-        values,
-        sure,
-        share,
-        same,
-        (),
-        text,
-        {"details": {"sensors": SENSORS, **details}},
-        effect.mechanism,
-        {name: 1.0},
-    )
+    if same:
+        text += f" This recording cannot tell it from {', '.join(same)}."
+    return text
+
+
+def restated(found: Finding, improved: Model) -> Finding:
+    """A finding with the numbers of the improved model, where the ratio of a load to its spring was
+    held in the fit: the motor's position then tells what the two sensors leave open.
+    """
+    for term in improved.at(found.joint):
+        known = {k: q for k, q in term.parameters.items() if q.std > 0.0}
+        if term.effect == found.effect and {"stiffness", LEADER}.issubset(known):
+            keys = [*found.parameters, *(k for k in ("load_dry",) if k in known)]
+            kind, torque = improved.joint_kind(found.joint), improved.torque_unit(found.joint)
+            sizes = {p.name: p.size for p in get_effect(term.effect).parameters}
+            values = {
+                k: Estimate(
+                    known[k].value,
+                    math.hypot(known[k].std, MEASURED * known[k].value),
+                    unit_of(sizes[k], kind, improved.actuator.command_unit, torque),
+                )
+                for k in keys
+                if k in known
+            }
+            details = found.numbers["details"]
+            spring = values["stiffness"]
+            details = {
+                **details,
+                "compliance": 1.0 / spring.value,
+                "compliance_std": spring.std / spring.value**2,
+            }
+            text = _words(
+                found.effect, found.joint, values, details, torque, found.indistinguishable
+            )
+            return replace(found, parameters=values, sentence=text, numbers={"details": details})
+    return found
 
 
 def helpful(

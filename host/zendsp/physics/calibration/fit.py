@@ -17,7 +17,14 @@ import numpy.typing as npt
 from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.covariance import robust_covariance
 from zendsp.physics.calibration.descent import Descent
-from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
+from zendsp.physics.calibration.handles import (
+    Handle,
+    Tie,
+    free_handles,
+    get_values,
+    set_values,
+    tied,
+)
 from zendsp.physics.calibration.joint import JointRecord, facts
 from zendsp.physics.calibration.predict import run, run_many
 from zendsp.physics.effects import get_effect
@@ -50,7 +57,7 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
         ):
             continue
         out.append(h)
-    return tuple(out)
+    return tied(model, out, data.ties)
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,8 @@ class Data:
     ranges: Mapping[tuple[str, int], tuple[float, float]] = field(
         default_factory=dict
     )  # of inertial figures: see diagnosis/data/inertia.py
+    # of loads on springs, by joint: see diagnosis/transmission/load_side.py
+    ties: Mapping[int, tuple[Tie, ...]] = field(default_factory=dict)
 
     @property
     def joints(self) -> int:
@@ -179,6 +188,10 @@ def bounds_and_steps(
             s = max(facts(r).scale.of(parameter.size) for r in records.values())
             pairs = [parameter_bounds(term.effect, h.key, r) for r in records.values()]
             lower, upper = min(pairs)[0], max(b for _, b in pairs)
+            for tie in (t for t in h.ties if t.ratio > 0.0):  # within its own bounds too
+                pairs = [parameter_bounds(term.effect, tie.key, r) for r in records.values()]
+                lower = max(lower, min(pairs)[0] / tie.ratio)
+                upper = min(upper, max(b for _, b in pairs) / tie.ratio)
             if get_effect(term.effect).same_as:
                 lower, upper = data.ranges.get((f"inertia {term.joint}", 0), (lower, upper))
             low.append(lower)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,14 +16,26 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Tie:
+    """A number of a term that follows another one, since recordings know their ratio better than
+    either: ``key`` is ``ratio`` (with its standard deviation) times what it follows.
+    """
+
+    key: str
+    ratio: float
+    std: float
+
+
+@dataclass(frozen=True)
 class Handle:
     """Names one free number of a model: ``place`` is "mechanism", "term", "gain" or "offset";
-    ``index`` is 0-based.
+    ``index`` is 0-based. ``ties``: numbers of the same term that follow it.
     """
 
     place: str
     index: int
     key: str = ""
+    ties: tuple[Tie, ...] = ()
 
 
 def free_handles(
@@ -68,6 +80,25 @@ def free_handles(
     return tuple(handles)
 
 
+LEADER = "load_inertia"  # what tied numbers of an elasticity follow
+
+
+def tied(
+    model: Model, handles: Sequence[Handle], ties: Mapping[int, tuple[Tie, ...]]
+) -> tuple[Handle, ...]:
+    """The handles, those of tied numbers (by joint) as part of the one that they follow."""
+    out = list(handles)
+    for h in handles:
+        if h.place != "term" or h.key != LEADER:
+            continue
+        term, free = model.terms[h.index], {o.key: o for o in handles if o.index == h.index}
+        follow = tuple(t for t in ties.get(term.joint, ()) if t.key in free)
+        if term.effect == "elasticity" and follow:
+            gone = {free[t.key] for t in follow}
+            out = [replace(o, ties=follow) if o is h else o for o in out if o not in gone]
+    return tuple(out)
+
+
 def _pick(values: tuple[float, ...], index: int, default: float) -> float:
     return values[index] if index < len(values) else (values[0] if values else default)
 
@@ -106,6 +137,9 @@ def set_values(model: Model, handles: Sequence[Handle], x: Array) -> Model:
             term = terms[h.index]
             number = term.parameters[h.key]
             numbers = {**term.parameters, h.key: Quantity(value, number.free, number.unit)}
+            for tie in h.ties:
+                number = term.parameters[tie.key]
+                numbers[tie.key] = Quantity(tie.ratio * value, number.free, number.unit)
             terms[h.index] = Term(term.effect, term.joint, numbers)
         elif h.place == "gain":
             gain[h.index] = value

@@ -59,7 +59,8 @@ class Points:
         self._base = native().ffi.new("zk_model *")
         self._alive = fill(self._base, record, model, bandwidth, inner, packed=self.packed)
         # of each handle that this joint feels, by what it moves
-        self._cells: list[tuple[int, int, int, int]] = []  # handle, row, column, less
+        # handle, row, column, less, factor
+        self._cells: list[tuple[int, int, int, int, float]] = []
         self._gain: list[int] = []
         self._shift: list[int] = []
         self._gravity: list[int] = []  # only what the kernel multiplies with a sine
@@ -94,7 +95,9 @@ class Points:
                 )
                 column = effect.names.index(handle.key)
                 less = int(effect.parameter(handle.key).size == "joint")
-                self._cells.append((i, row, column, less))
+                self._cells.append((i, row, column, less, 1.0))
+                for tie in handle.ties:
+                    self._cells.append((i, row, effect.names.index(tie.key), 0, tie.ratio))
 
     def innovations(self, points: Sequence[Array], out: Array) -> None:
         """Weighted innovations at one point, ``out`` (n,), or at up to eight points, the first
@@ -129,8 +132,8 @@ class Points:
         kinds, table = self.packed
         at = np.stack(points) if self._felt else np.zeros((count, 0))
         tables = np.repeat(table[None], count, axis=0)
-        for i, row, column, less in self._cells:
-            tables[:, row, column] = at[:, i] - less
+        for i, row, column, less, factor in self._cells:
+            tables[:, row, column] = factor * at[:, i] - less
         m = lib.ffi.new("zk_model[]", LANES)
         p = lib.doubles(tables)
         known: dict[tuple[float, ...], list[Any]] = {}  # the lane of each
