@@ -357,7 +357,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     else:
         decisions = or_bodies(found.bodies, decisions)
     if claims or any(m.terms for m in found.measured):  # these are findings, not calibration
-        own = upon(given, [m for m in found.measured if not m.findings])
+        own = upon(given, [m.calibrating(given) for m in found.measured])
         bases = [
             calibrate_joint(bare.fit, own, joint, jobs) for joint in range(1, given.joints + 1)
         ]

@@ -91,7 +91,9 @@ def findings_of(
         elif "cubic" in by:
             name = "stiffening"
             bend = by["cubic"].value * stiffness**4 / scale**2
-            numbers["stiffness3"] = bend, by["cubic"].std / by["cubic"].value * bend
+            # a compliance's series turned into a stiffness's
+            of_both = math.hypot(by["cubic"].std / by["cubic"].value, 4.0 * relative)
+            numbers["stiffness3"] = bend, of_both * bend
         made.append((name, spring, numbers, details))
     elif "gap" in by:
         numbers = {"gap": _gap(by["gap"])}
@@ -157,7 +159,7 @@ def _term(
             load = min(load, MOST_LOAD * inertia)
             known["load_inertia"] = load, std
             if side is not None:
-                known["stiffness"] = side.stiffness.ratio * load, side.stiffness.std * load
+                known |= {t.key: (t.ratio * load, t.std * load) for t in side.ties}
         known.setdefault("stiffness", ((2 * math.pi * CONTACT) ** 2 * min(load, inertia), 0.0))
         loss = OF_A_CONTACT if name == "backlash" else OF_A_SPRING
         damping = loss * math.sqrt(known["stiffness"][0] * min(load, inertia))
@@ -179,7 +181,7 @@ def _term(
 
 def rubbing(model: Model, joint: int, side: LoadSide | None) -> tuple[Term, ...]:
     """The model's own spring with the dry friction of its load, where two sensors show some."""
-    own = [t for t in model.at(joint) if t.effect == "elasticity"]
+    own = [t for t in model.at(joint) if "load_dry" in t.parameters]
     if side is None or not side.dry or not own:
         return ()
     level = Quantity(side.dry * own[0].value(LEADER))
@@ -263,7 +265,6 @@ def restated(found: Finding, improved: Model) -> Finding:
     for term in improved.at(found.joint):
         known = {k: q for k, q in term.parameters.items() if q.std > 0.0}
         if term.effect == found.effect and {"stiffness", LEADER}.issubset(known):
-            keys = [*found.parameters, *(k for k in ("load_dry",) if k in known)]
             kind, torque = improved.joint_kind(found.joint), improved.torque_unit(found.joint)
             sizes = {p.name: p.size for p in get_effect(term.effect).parameters}
             values = {
@@ -272,8 +273,7 @@ def restated(found: Finding, improved: Model) -> Finding:
                     math.hypot(known[k].std, MEASURED * known[k].value),
                     unit_of(sizes[k], kind, improved.actuator.command_unit, torque),
                 )
-                for k in keys
-                if k in known
+                for k in known
             }
             details = found.numbers["details"]
             spring = values["stiffness"]

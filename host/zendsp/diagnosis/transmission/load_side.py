@@ -25,7 +25,7 @@ OF_A_RATIO = 0.005
 TIGHT = 0.02
 MOVING = 100  # least rows under way of a recording
 # chosen terms with which this equation is the load's: others bend its torsion
-PLAIN_SPRING = frozenset({"spring", "step"})
+SPRINGS = frozenset({"spring", "step", "cubic"})
 
 
 def _under_way(twist: Twist) -> Twist:
@@ -41,41 +41,50 @@ def _under_way(twist: Twist) -> Twist:
     return replace(twist, kept=twist.kept & alike & (side != 0.0))
 
 
-def _columns(twist: Twist, turns: bool) -> Array:
+def _columns(twist: Twist, turns: bool, hardens: bool) -> Array:
     """What the load's torsion consists of, (n, columns) of the kept rows: its acceleration and
-    direction, the rate of the torsion, and what weight or the sensors' pitch adds.
+    direction, its cube where the spring ``hardens``, its rate, and what weight or the sensors'
+    pitch adds.
     """
     h = twist.sample_time
     own = twist.qdd + np.gradient(np.gradient(twist.torsion, h), h)
     place = [np.sin(twist.q), np.cos(twist.q)] if turns else [twist.q]
-    parts = [own, np.sign(twist.qd), twist.extra["rate"], *place]
+    bend = [(twist.torsion - np.mean(twist.torsion[twist.kept])) ** 3] if hardens else []
+    parts = [own, np.sign(twist.qd), *bend, twist.extra["rate"], *place]
     return np.stack(parts, axis=1)[twist.kept]
 
 
 @dataclass(frozen=True)
 class LoadSide:
-    """What two sensors tell of a load on a spring, for each unit of its inertia: the stiffness,
-    which is held in every fit, and the dry friction, with which a fit begins (0: none is sure).
+    """What two sensors tell of a load on a spring, for each unit of its inertia: ``ties``, the
+    stiffness, and that of the bend cubed, which are held in every fit; and the ``dry`` friction,
+    with which a fit begins (0: none is sure).
     """
 
-    stiffness: Tie
+    ties: tuple[Tie, ...]
     dry: float
 
 
 def load_side(slow: Sets, terms: Sequence[str], turns: bool) -> LoadSide | None:
-    """None where the two sensors show no plain spring, or know its stiffness less than ``TIGHT``.
+    """None where the two sensors show no spring alone, or know its stiffness less than ``TIGHT``.
     ``terms``: those that describe the torsion; ``turns``: of a rotary joint.
     """
-    if "spring" not in terms or not PLAIN_SPRING.issuperset(terms):
+    if "spring" not in terms or not SPRINGS.issuperset(terms):
         return None
     fit = [_under_way(t) for t in slow.fit]
     if min(int(t.kept.sum()) for t in fit) < MOVING:
         return None
-    found = regress(fit, [_columns(t, turns) for t in fit], False)
-    of_load, of_dry = -found.x[:2]  # a load's inertia and friction for each unit of stiffness
-    std = np.sqrt(np.diag(found.covariance)[:2])
+    hardens = "cubic" in terms
+    found = regress(fit, [_columns(t, turns, hardens) for t in fit], False)
+    # a load's inertia and friction, and its bend cubed, for each unit of stiffness
+    of_load, of_dry, of_cube = -found.x[:3]
+    std = np.sqrt(np.diag(found.covariance)[:3])
     relative = math.hypot(std[0] / of_load, OF_A_RATIO)
     if not (of_load > 0.0 and relative < TIGHT):
         return None
     dry = float(of_dry / of_load) if of_dry > SURE * std[1] else 0.0
-    return LoadSide(Tie("stiffness", 1.0 / of_load, relative / of_load), dry)
+    ties = [Tie("stiffness", 1.0 / of_load, relative / of_load)]
+    if hardens:
+        cube, spread = max(of_cube / of_load, 0.0), std[2] / of_load
+        ties.append(Tie("stiffness3", cube, math.hypot(spread, relative * cube)))
+    return LoadSide(tuple(ties), dry)

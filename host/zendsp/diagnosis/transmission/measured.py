@@ -68,6 +68,11 @@ class Measured:
             return self.findings
         return tuple(restated(f, improved) for f in self.findings)
 
+    def calibrating(self, given: Model) -> Measured:
+        """The same with only the terms that stand in place of the given model's own."""
+        own = {(t.effect, t.joint) for t in given.terms}
+        return replace(self, terms=tuple(t for t in self.terms if (t.effect, t.joint) in own))
+
     def upon(self, model: Model) -> Model:
         """A model with the measured terms, in place of its own of that kind."""
         ours = {(t.effect, t.joint) for t in self.terms}
@@ -82,7 +87,7 @@ def upon(model: Model, found: Sequence[Measured]) -> Model:
 
 def with_ties(parts: Parts, found: Sequence[Measured]) -> Parts:
     """The recordings with what their second sensors say of loads on springs."""
-    ties = {m.joint: (m.side.stiffness,) for m in found if m.side is not None}
+    ties = {m.joint: m.side.ties for m in found if m.side is not None}
     return replace(parts, fit=replace(parts.fit, ties=ties))
 
 
@@ -144,13 +149,16 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
             f"joint {joint}: the model has {', '.join(known)} already; the two sensors show {said}."
             f" The model's own numbers are fitted to the position column{how}"
         )
-        terms = rubbing(model, joint, side)
+        errors = [] if "transmission_error" in known else waves
+        findings, terms = findings_of(parts, model, joint, scale, (), errors, (0.0, 0.0))
+        terms = helpful(with_ties(parts, [Measured(joint, side=side)]), model, joint, terms, jobs)
+        rubs = rubbing(model, joint, side)
         notes += [
             f"joint {joint}: of its dry friction about {t.value('load_dry'):.3g}"
             f" {model.torque_unit(joint)} acts on the load, behind the spring"
-            for t in terms
+            for t in rubs
         ]
-        return Measured(joint, (), terms, (), tuple(notes), side)
+        return Measured(joint, findings, (*terms, *rubs), (), tuple(notes), side)
     load = load_behind(model, inertia, motor)
     findings, terms = findings_of(parts, model, joint, scale, claims, waves, load, side)
     found = {c.name for c in claims}

@@ -80,7 +80,7 @@ def free_handles(
     return tuple(handles)
 
 
-LEADER = "load_inertia"  # what tied numbers of an elasticity follow
+LEADER = "load_inertia"  # what tied numbers of a spring follow
 
 
 def tied(
@@ -91,9 +91,10 @@ def tied(
     for h in handles:
         if h.place != "term" or h.key != LEADER:
             continue
-        term, free = model.terms[h.index], {o.key: o for o in handles if o.index == h.index}
+        term = model.terms[h.index]
+        free = {o.key: o for o in handles if o.place == "term" and o.index == h.index}
         follow = tuple(t for t in ties.get(term.joint, ()) if t.key in free)
-        if term.effect == "elasticity" and follow:
+        if follow and "load_dry" in term.parameters:  # a spring without a gap
             gone = {free[t.key] for t in follow}
             out = [replace(o, ties=follow) if o is h else o for o in out if o not in gone]
     return tuple(out)
