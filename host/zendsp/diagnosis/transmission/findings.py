@@ -63,7 +63,6 @@ def findings_of(
     joint: int,
     scale: float,
     claims: Sequence[Claim],
-    waves: Sequence[Claim],
     load: tuple[float, float],
     side: LoadSide | None = None,
 ) -> tuple[tuple[Finding, ...], tuple[Term, ...]]:
@@ -90,10 +89,7 @@ def findings_of(
             name, numbers = "backlash", {"gap": _gap(by["gap"], pressed), **numbers}
         elif "cubic" in by:
             name = "stiffening"
-            bend = by["cubic"].value * stiffness**4 / scale**2
-            # a compliance's series turned into a stiffness's
-            of_both = math.hypot(by["cubic"].std / by["cubic"].value, 4.0 * relative)
-            numbers["stiffness3"] = bend, of_both * bend
+            numbers["stiffness3"] = _hardening(by["cubic"], stiffness, relative, scale, side)
         made.append((name, spring, numbers, details))
     elif "gap" in by:
         numbers = {"gap": _gap(by["gap"])}
@@ -109,7 +105,7 @@ def findings_of(
         made.append(
             ("hysteresis", loop, {"step": (-2 * loop.value, 2 * loop.std)}, {"torque": held})
         )
-    for w in waves:
+    for w in (c for c in claims if c.name == "wave"):
         numbers = {
             "order": (w.order, math.hypot(w.order_std, OF_AN_ORDER * w.order)),
             "amplitude": (w.value, math.hypot(w.std, MEASURED * w.value)),
@@ -123,6 +119,20 @@ def findings_of(
     )
     terms = tuple(_term(model, parts, name, joint, numbers, side) for name, _, numbers, _ in made)
     return findings, tuple(t for t in terms if t is not None)
+
+
+def _hardening(
+    claim: Claim, stiffness: float, relative: float, scale: float, side: LoadSide | None
+) -> tuple[float, float]:
+    """The stiffness of the bend cubed, and its standard deviation: by the load's own equation, or
+    from two terms of the compliance's series in the torque. ``relative``: of the stiffness.
+    """
+    told = {t.key: t for t in side.ties} if side is not None else {}
+    if "stiffness3" in told:
+        cube, load = told["stiffness3"], stiffness / told["stiffness"].ratio
+        return cube.ratio * load, math.hypot(cube.std, cube.ratio * relative) * load
+    bend = claim.value * stiffness**4 / scale**2
+    return bend, math.hypot(claim.std / claim.value, 4.0 * relative) * bend
 
 
 def _gap(claim: Claim, pressed: float = 0.0) -> tuple[float, float]:

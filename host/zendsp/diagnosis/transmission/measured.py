@@ -150,7 +150,7 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
             f" The model's own numbers are fitted to the position column{how}"
         )
         errors = [] if "transmission_error" in known else waves
-        findings, terms = findings_of(parts, model, joint, scale, (), errors, (0.0, 0.0))
+        findings, terms = findings_of(parts, model, joint, scale, errors, (0.0, 0.0))
         terms = helpful(with_ties(parts, [Measured(joint, side=side)]), model, joint, terms, jobs)
         rubs = rubbing(model, joint, side)
         notes += [
@@ -160,7 +160,7 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         ]
         return Measured(joint, findings, (*terms, *rubs), (), tuple(notes), side)
     load = load_behind(model, inertia, motor)
-    findings, terms = findings_of(parts, model, joint, scale, claims, waves, load, side)
+    findings, terms = findings_of(parts, model, joint, scale, [*claims, *waves], load, side)
     found = {c.name for c in claims}
     seen: tuple[Detectable, ...] = ()
     if "spring" not in found:
