@@ -180,7 +180,11 @@ def bounds_and_steps(
     """Lower and upper bounds and the natural size of each number, (p,) each."""
     low, high, size = [], [], []
     for h in handles:
-        if h.place == "term":
+        if h.tie is not None:
+            low.append(h.tie.within[0])
+            high.append(h.tie.within[1])
+            size.append(h.tie.ratio)
+        elif h.place == "term":
             term = model.terms[h.index]
             parameter = get_effect(term.effect).parameter(h.key)
             # parts of the data prepared apart have ranges of their own
@@ -188,10 +192,6 @@ def bounds_and_steps(
             s = max(facts(r).scale.of(parameter.size) for r in records.values())
             pairs = [parameter_bounds(term.effect, h.key, r) for r in records.values()]
             lower, upper = min(pairs)[0], max(b for _, b in pairs)
-            for tie in (t for t in h.ties if t.ratio > 0.0):  # within its own bounds too
-                pairs = [parameter_bounds(term.effect, tie.key, r) for r in records.values()]
-                lower = max(lower, min(pairs)[0] / tie.ratio)
-                upper = min(upper, max(b for _, b in pairs) / tie.ratio)
             if get_effect(term.effect).same_as:
                 lower, upper = data.ranges.get((f"inertia {term.joint}", 0), (lower, upper))
             low.append(lower)
@@ -287,7 +287,7 @@ def fit(
     covariance = robust_covariance(jac[:rows], r[:rows], block_count(data), problem.prior)
     low, high = problem.low, problem.high
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
-    at_bound = tuple(bool(v) for v in near)
+    at_bound = tuple(bool(v) and h.tie is None for v, h in zip(near, handles, strict=True))
     found = Fit(
         set_values(model, handles, x), handles, x, covariance, float(r @ r), at_bound, jac, r,
     )
