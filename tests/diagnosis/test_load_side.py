@@ -102,10 +102,15 @@ def test_both_stiffnesses_of_a_spring_that_hardens_are_told() -> None:
     assert abs(number.value - 8e3) < 2 * number.std
 
 
-def test_a_gap_is_no_spring_alone() -> None:
+def test_a_gap_is_measured_by_the_loads_own_acceleration() -> None:
     machine = {"gap": 0.02, "load": LOAD, "resolution": FINE}
     _, found = seen(model(position_load="ql", coulomb=0.03), **machine)
-    assert found.side is None
+    assert found.side is not None and found.side.gap is not None
+    width, std = found.side.gap
+    # by the motor's torque, of which only a part reaches the load, 18.96 mrad
+    assert width == pytest.approx(0.02, rel=0.02) and abs(width - 0.02) < 2 * std + 0.01 * width
+    (tie,) = found.side.ties
+    assert tie.gap and abs(tie.ratio - 120.0 / LOAD) < 2 * tie.std
 
 
 def test_a_fit_holds_the_ratio_that_two_sensors_tell() -> None:

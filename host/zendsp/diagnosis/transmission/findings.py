@@ -17,6 +17,7 @@ from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.transmission.claims import Claim
+from zendsp.diagnosis.transmission.load_side import OF_A_CONTACT as CONTACT_KNOWN
 from zendsp.diagnosis.transmission.load_side import LoadSide
 from zendsp.diagnosis.transmission.torsion import Motor, has_bodies, joint_inertia
 from zendsp.physics.calibration.handles import LEADER
@@ -40,7 +41,6 @@ LOOSE = 0.02
 # 0.04 to 0.7 % off, with stated 0.002 to 0.06 %
 MEASURED = 0.005
 OF_AN_ORDER = 5e-4  # simulated ones of 6 came out at 6.0012 over 1.2 periods, 5.9969 over five
-OF_A_CONTACT_K = 0.05  # of a contact's stiffness: 10 000 N m/rad came out as 9 350
 
 
 def load_behind(model: Model, inertia: float, motor: Motor) -> tuple[float, float]:
@@ -72,7 +72,7 @@ def findings_of(
     spring = by.get("spring")
     if spring is not None:
         stiffness = -1.0 / spring.value
-        sure = OF_A_CONTACT_K if "gap" in by else MEASURED
+        sure = CONTACT_KNOWN if "gap" in by else MEASURED
         relative = math.hypot(spring.std / spring.value, sure)
         numbers = {"stiffness": (stiffness, relative * stiffness)}
         if spring.damping[0] > PLAIN * spring.damping[1]:
@@ -86,13 +86,13 @@ def findings_of(
         name = "elasticity"
         if "gap" in by:
             pressed = 2.0 * scale * relative * abs(spring.value)
-            name, numbers = "backlash", {"gap": _gap(by["gap"], pressed), **numbers}
+            name, numbers = "backlash", {"gap": _gap(by["gap"], side, pressed), **numbers}
         elif "cubic" in by:
             name = "stiffening"
             numbers["stiffness3"] = _hardening(by["cubic"], stiffness, relative, scale, side)
         made.append((name, spring, numbers, details))
     elif "gap" in by:
-        numbers = {"gap": _gap(by["gap"])}
+        numbers = {"gap": _gap(by["gap"], side)}
         if load[0]:
             numbers["load_inertia"] = load
         made.append(("backlash", by["gap"], numbers, {}))
@@ -135,10 +135,12 @@ def _hardening(
     return bend, math.hypot(claim.std / claim.value, 4.0 * relative) * bend
 
 
-def _gap(claim: Claim, pressed: float = 0.0) -> tuple[float, float]:
-    """The full width of a gap and its standard deviation. The yielding of both contacts under the
-    RMS torque is subtracted; ``pressed`` is its standard deviation.
+def _gap(claim: Claim, side: LoadSide | None, pressed: float = 0.0) -> tuple[float, float]:
+    """The full width of a gap and its standard deviation: by the load's own equation, or with the
+    yielding of both contacts under the RMS torque, known to ``pressed``, subtracted.
     """
+    if side is not None and side.gap is not None:
+        return side.gap[0], math.hypot(side.gap[1], OF_A_GAP * side.gap[0])
     width = -2.0 * claim.value
     return width, math.hypot(2.0 * claim.std, OF_A_GAP * width, pressed)
 
@@ -276,11 +278,12 @@ def restated(found: Finding, improved: Model) -> Finding:
         known = {k: q for k, q in term.parameters.items() if q.std > 0.0}
         if term.effect == found.effect and {"stiffness", LEADER}.issubset(known):
             kind, torque = improved.joint_kind(found.joint), improved.torque_unit(found.joint)
+            sure = {"stiffness": CONTACT_KNOWN} if "gap" in known else {}
             sizes = {p.name: p.size for p in get_effect(term.effect).parameters}
             values = {
                 k: Estimate(
                     known[k].value,
-                    math.hypot(known[k].std, MEASURED * known[k].value),
+                    math.hypot(known[k].std, sure.get(k, MEASURED) * known[k].value),
                     unit_of(sizes[k], kind, improved.actuator.command_unit, torque),
                 )
                 for k in known

@@ -23,7 +23,7 @@ from zendsp.diagnosis.transmission.findings import (
     restated,
     rubbing,
 )
-from zendsp.diagnosis.transmission.load_side import LoadSide, load_side
+from zendsp.diagnosis.transmission.load_side import LoadSide, gap_side, load_side
 from zendsp.diagnosis.transmission.sets import (
     Sets,
     compliance_unit,
@@ -136,7 +136,9 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     chosen, slow, motor = choose(below, inertia, known_motor)
     side = None
     if not has_bodies(model):
-        side = load_side(below, chosen.terms, model.joint_kind(joint) == "rotary")
+        turns = model.joint_kind(joint) == "rotary"
+        gapped = "gap" in chosen.terms
+        side = gap_side(straight, turns) if gapped else load_side(below, chosen.terms, turns)
     scale = torque_scale(slow.fit)
     claims = [_spread(c, motor) for c in claims_of(slow, chosen, scale, model)]
     if lag:

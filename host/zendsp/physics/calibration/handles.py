@@ -22,12 +22,13 @@ TIED = 2.0  # standard deviations
 @dataclass(frozen=True)
 class Tie:
     """A number of a spring that recordings tell for each unit of its ``LEADER``, better than both:
-    ``key`` is ``ratio``, with its standard deviation, times that.
+    ``key`` is ``ratio``, with its standard deviation, times that. ``gap``: of a contact beyond one.
     """
 
     key: str
     ratio: float
     std: float
+    gap: bool = False
 
     @property
     def within(self) -> tuple[float, float]:
@@ -99,10 +100,9 @@ def tied(
     out = []
     for h in handles:
         term = model.terms[h.index] if h.place == "term" else None
-        # of a spring without a gap
-        if term is not None and "load_dry" in term.parameters and term.parameters[LEADER].free:
-            tie = next((t for t in ties.get(term.joint, ()) if t.key == h.key), None)
-            h = replace(h, tie=tie)
+        if term is not None and LEADER in term.parameters and term.parameters[LEADER].free:
+            same = (t for t in ties.get(term.joint, ()) if t.gap == ("gap" in term.parameters))
+            h = replace(h, tie=next((t for t in same if t.key == h.key), None))
         out.append(h)
     return tuple(out)
 
