@@ -287,6 +287,7 @@ def restated(found: Finding, improved: Model) -> Finding:
                     unit_of(sizes[k], kind, improved.actuator.command_unit, torque),
                 )
                 for k in known
+                if k in found.parameters or k == "load_dry"
             }
             details = found.numbers["details"]
             spring = values["stiffness"]

@@ -154,6 +154,8 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         errors = [] if "transmission_error" in known else waves
         findings, terms = findings_of(parts, model, joint, scale, errors, (0.0, 0.0))
         terms = helpful(with_ties(parts, [Measured(joint, side=side)]), model, joint, terms, jobs)
+        if not terms:  # a ripple's torque shakes the load at an order too, and is no error of it
+            findings = ()
         rubs = rubbing(model, joint, side)
         notes += [
             f"joint {joint}: of its dry friction about {t.value('load_dry'):.3g}"
