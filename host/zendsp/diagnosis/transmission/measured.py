@@ -61,12 +61,15 @@ class Measured:
     detectable: tuple[Detectable, ...] = ()
     notes: tuple[str, ...] = ()
     side: LoadSide | None = None  # of a spring that is measured or in the model
+    known: bool = False  # the model has a transmission there already
 
     def stated(self, improved: Model) -> tuple[Finding, ...]:
-        """The findings, with the numbers of the improved model where these are surer."""
-        if self.side is None:
-            return self.findings
-        return tuple(restated(f, improved) for f in self.findings)
+        """The findings, with the numbers of the improved model where these are surer. Beside a
+        known spring an error over the angle is one that the motor feels: a ripple shakes the load.
+        """
+        felt = {t.effect for t in improved.at(self.joint)}
+        found = [f for f in self.findings if f.effect in felt or not self.known]
+        return tuple(f if self.side is None else restated(f, improved) for f in found)
 
     def calibrating(self, given: Model) -> Measured:
         """The same with only the terms that stand in place of the given model's own."""
@@ -154,15 +157,13 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         errors = [] if "transmission_error" in known else waves
         findings, terms = findings_of(parts, model, joint, scale, errors, (0.0, 0.0))
         terms = helpful(with_ties(parts, [Measured(joint, side=side)]), model, joint, terms, jobs)
-        if not terms:  # a ripple's torque shakes the load at an order too, and is no error of it
-            findings = ()
         rubs = rubbing(model, joint, side)
         notes += [
             f"joint {joint}: of its dry friction about {t.value('load_dry'):.3g}"
             f" {model.torque_unit(joint)} acts on the load, behind the spring"
             for t in rubs
         ]
-        return Measured(joint, findings, (*terms, *rubs), (), tuple(notes), side)
+        return Measured(joint, findings, (*terms, *rubs), (), tuple(notes), side, known=True)
     load = load_behind(model, inertia, motor)
     findings, terms = findings_of(parts, model, joint, scale, [*claims, *waves], load, side)
     found = {c.name for c in claims}
