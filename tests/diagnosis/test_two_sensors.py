@@ -128,7 +128,7 @@ def test_of_a_pure_inertia_load_only_its_ratio_to_the_stiffness_is_reported() ->
 def test_a_claim_that_leaves_nothing_has_the_highest_confidence() -> None:
     size, left = 1e-4, 0.0  # rad: all of the torsion within the sensors' own noise
     claim = Claim("step", -2e-5, 1e-7, Evidence(9.0, 9.0, np.ones(9)), 9.0, size, left)
-    found, _ = findings_of(None, model(), 1, 1.0, [claim], [], (0.0, 0.0))  # type: ignore[arg-type]
+    found, _ = findings_of(None, model(), 1, 1.0, [claim], (0.0, 0.0))  # type: ignore[arg-type]
     assert found[0].confidence == SUREST
 
 

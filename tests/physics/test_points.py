@@ -11,7 +11,7 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.physics.calibration import predict
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
-from zendsp.physics.calibration.handles import free_handles, get_values, set_values
+from zendsp.physics.calibration.handles import Tie, free_handles, get_values, set_values
 from zendsp.physics.calibration.points import Points
 from zendsp.physics.calibration.predict import run_many
 from zendsp.physics.files.model_file import parse_model
@@ -69,6 +69,25 @@ def test_a_point_gives_to_the_last_bit_what_the_model_with_its_numbers_gives(
         found = out[:, :count] if count > 1 else out[:, None]
         np.testing.assert_array_equal(found, expected)
         assert count == 1 or np.all(np.ptp(found, axis=1)[10:] > 0)  # else this says nothing
+
+
+def test_a_tied_number_is_a_ratio_in_a_fit_and_itself_in_the_model() -> None:
+    model = parse_model(PENDULUM)
+    t = np.arange(N) * T
+    q = 0.4 * np.sin(2 * np.pi * 0.9 * t)[:, None]
+    data = prepare([Signals("run", t, T, q, 0.1 * q, None, np.full(1, 1e-4))], model, 64.0)
+    tie = Tie("stiffness", 50.0 / 0.005, 100.0)
+    handles = joint_handles(replace(data, ties={1: (tie,)}), model, 1)
+    place = [h.key for h in handles].index("stiffness")
+    assert handles[place].tie == tie and joint_handles(data, model, 1)[place].tie is None
+    x = get_values(model, handles)
+    assert x[place] == tie.ratio
+    x[[h.key for h in handles].index("load_inertia")] = 0.007
+    moved = set_values(model, handles, x)
+    assert moved.terms[0].value("stiffness") == pytest.approx(70.0)
+    record, out = data.records[0][0], np.empty(N)
+    Points(record, model, handles, 32.0, 2).innovations([x], out)
+    np.testing.assert_array_equal(out, run_many(record, [moved], 32.0)[:, 0])
 
 
 def test_numbers_that_a_joint_does_not_feel_are_not_run_again() -> None:

@@ -62,6 +62,18 @@ def test_an_elastic_joint_rings_at_its_resonance() -> None:
     assert frequency == pytest.approx(math.sqrt(k * (1 / jm + 1 / jl)) / (2 * math.pi), rel=1e-3)
 
 
+def test_the_dry_friction_of_a_load_holds_it_while_its_motor_bends_the_spring() -> None:
+    k = 30.0
+    spring = {"stiffness": k, "damping": 0.05, "load_inertia": 0.006}
+    held, free = (
+        simulate_loop(
+            rotary(effect("elasticity", **spring, load_dry=dry)), command=np.full(2000, 0.08)
+        )["plant_q"][-1]
+        for dry in (0.2, 0.0)  # N m: more than the spring gives as it overshoots
+    )
+    assert held == pytest.approx(0.08 / k, rel=1e-3) and free > 1.0
+
+
 def test_a_spring_to_the_frame_bends_the_transmission() -> None:
     k, hold, push = 30.0, 5.0, 0.2
     load = effect("elasticity", stiffness=k, damping=0.5, load_inertia=0.006)

@@ -351,7 +351,7 @@ def _name(
     if found.load is not None:  # which holds all that differs there from the given numbers
         findings = (found.load,)
     findings += found.fine
-    findings += tuple(finding for m in found.measured for finding in m.findings)
+    findings += tuple(f for m in found.measured for f in m.stated(found.whole.improved))
     findings = sided(findings, found.parts, found.bodies.model)
     decisions = [_unnamed(d, findings, refinements) for d in found.decisions]
     return replace(found, decisions=decisions), findings, refinements, rejected

@@ -59,10 +59,15 @@ from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, find_bodies
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
+from zendsp.diagnosis.transmission.measured import (
+    Measured,
+    measured_transmissions,
+    upon,
+    with_ties,
+)
 from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model
 
 # where joints claim what a body could explain, a small one is considered too
 BESIDE = replace(LIMITS, little=0.0, least=0.0)
@@ -240,8 +245,8 @@ def _beneath(
 ) -> Found:
     """The findings with some bodies, or with those of them that can be claimed."""
     measured = measured_transmissions(parts, bodies.model, jobs)
-    known = tuple(t for m in measured for t in m.terms)
-    beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
+    measured_motion, bare = with_ties(measured_motion, measured), with_ties(parts, measured)
+    beneath = upon(bodies.model, measured)
     parts = with_bodies(bare, beneath)
 
     def known_by(explained: Explained) -> Found:
@@ -264,25 +269,22 @@ def _beneath(
         if linked is not bare:
             bare, parts = linked, with_bodies(linked, beneath)
         explained = again
-        return _claimed_of(known_by(explained), known, given, jobs, tell)
+        return _claimed_of(known_by(explained), given, jobs, tell)
 
 
-def _claimed_of(
-    found: Found, known: tuple[Term, ...], given: Model, jobs: int, tell: Progress
-) -> Found:
-    """The findings with the claimed ones of the bodies. ``known``: terms of measured transmissions.
-    """
+def _claimed_of(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
+    """The findings with the claimed ones of the bodies."""
+    plain = upon(given, found.measured)
     bare, bodies, claims, beneath = found.bare, found.bodies, found.claims, found.beneath
     if len(claims) < len(bodies.found):  # the joints have to explain what is no body
         with_all = found.explained
-        beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
+        beneath = plain.with_terms((*plain.terms, *(c.found.term for c in claims)))
         parts = with_bodies(bare, beneath)
         explained = explain(parts, given, beneath, jobs, tell)
         found = replace(found, parts=parts, beneath=beneath).explained_by(explained)
         return found if claims else _one_body(found, with_all, given, jobs, tell)
     if any(_is_corrected(claims, d) for d in found.decisions):
         # a body that the joints have to correct may be none: the simpler explanation wins
-        plain = given.with_terms((*given.terms, *known))
         parts = with_bodies(bare, plain)
         most = findings_at(bare.test, given, found.explained) + len(claims)
         try:
@@ -355,10 +357,11 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     else:
         decisions = or_bodies(found.bodies, decisions)
     if claims or any(m.terms for m in found.measured):  # these are findings, not calibration
+        own = upon(given, [m.calibrating(given) for m in found.measured])
         bases = [
-            calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)
+            calibrate_joint(bare.fit, own, joint, jobs) for joint in range(1, given.joints + 1)
         ]
-        calibrated = calibrated_machine(bare.fit, given, bases, jobs)
+        calibrated = calibrated_machine(bare.fit, own, bases, jobs)
         whole = replace(whole, calibrated=calibrated)
     return replace(
         found,

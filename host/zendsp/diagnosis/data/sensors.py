@@ -29,6 +29,10 @@ SCALED = 0.05  # of its slope: a velocity further from the position's has anothe
 FOLLOWS = 0.01  # of its RMS below 25 Hz: a current this near to the command follows it
 EXACT = 1e-6  # of its size: a current this near to a multiple of the command is computed
 TIMED = 0.5  # of a difference in RMS: less remains of one in time alone; decides only a wording
+# a reading that stays while the joint moves on, or is none: its end is a larger step between the
+# two sensors than so many usual ones (their 98th percentile), and takes back most of what had come
+# between them; a load that is jerked goes on. A sensor that loses more of its rows is not used
+DROPPED, USUAL, BACK, LOST = 8.0, 0.98, 0.5, 0.01
 AVERAGED = 0.02  # s, of the mean that removes noise and sampling from a comparison
 
 
@@ -81,6 +85,7 @@ def judged(
     """
     out = values.copy()
     reasons: dict[str, list[int]] = {}
+    notes = []
     for j in range(values.shape[1]):
         x = values[:, j]
         if not np.isfinite(x).all():
@@ -92,13 +97,23 @@ def judged(
         elif role == "current":
             why = _current(x, command[:, j], sample_time)
         elif role == "position_load":
-            why = _beyond(x, position[:, j])
+            lost = _dropped(x, position[:, j])
+            share, first = float(np.mean(lost)), int(np.argmax(lost)) + 1
+            if share < LOST:
+                x = out[:, j] = _bridged(x, position[:, j], lost)
+                why = _beyond(x, position[:, j])
+            else:
+                why = f"it drops out in {100 * share:.2g} % of its rows (first in row {first})"
+            if lost.any() and not why:
+                notes.append(
+                    f"{role} of joint {j + 1} dropped out in {counted(int(lost.sum()), 'row')}"
+                    f" (first in row {first}): they are filled in from those around them"
+                )
         else:
             continue
         if why:
             out[:, j] = np.nan
             reasons.setdefault(why, []).append(j + 1)
-    notes = []
     for why, joints in reasons.items():
         where = f"joint{'s' if len(joints) > 1 else ''} {', '.join(map(str, joints))}"
         notes.append(f"{role} of {where} was not used: {why}")
@@ -162,6 +177,27 @@ def _beyond(x: Array, q: Array) -> str:
             " motor's side for the load's?"
         )
     return ""
+
+
+def _dropped(x: Array, q: Array) -> npt.NDArray[np.bool_]:
+    """The rows at which a position beyond the transmission dropped out, (n,): readings of zero, or
+    the last one over and over, which end in a jump against the motor's position.
+    """
+    apart = x - q
+    step = np.abs(np.diff(apart))
+    far = np.r_[False, step > DROPPED * float(np.quantile(step, USUAL))]
+    new = np.flatnonzero(np.diff(x) != 0) + 1
+    out = np.zeros(len(x), bool)
+    for first, end in zip(np.r_[0, new], np.r_[new, len(x)], strict=True):
+        if first > 0 and end < len(x) and far[end] and (far[first] or end - first > 1):
+            out[first:end] = abs(apart[end] - apart[first - 1]) < BACK * step[end - 1]
+    return out
+
+
+def _bridged(x: Array, q: Array, lost: npt.NDArray[np.bool_]) -> Array:
+    """The position with the rows that it lost: as far from the motor's as those around them."""
+    rows = np.arange(len(x))
+    return np.where(lost, q + np.interp(rows, rows[~lost], (x - q)[~lost]), x)
 
 
 def _current(x: Array, u: Array, sample_time: float) -> str:

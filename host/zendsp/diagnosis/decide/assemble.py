@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
@@ -16,7 +17,7 @@ from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.physics.calibration.convergence import with_step_error
 from zendsp.physics.calibration.covariance import robust_covariance
 from zendsp.physics.calibration.fit import Data, Fit, block_count, fit
-from zendsp.physics.calibration.handles import free_handles, set_values
+from zendsp.physics.calibration.handles import LEADER, free_handles, set_values
 from zendsp.physics.calibration.joint import own_terms
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.robots.bodies import body_terms
@@ -263,6 +264,19 @@ def _with_shared(model: Model, parts: Sequence[Scored]) -> Model:
     return replace(model, mechanism=mechanism)
 
 
+def of_ratios(fitted: Fit) -> npt.NDArray[np.float64]:
+    """Standard deviations of a fit (p,), those of tied numbers not as ratios."""
+    out = fitted.std
+    place = {(h.index, h.key): i for i, h in enumerate(fitted.handles) if h.place == "term"}
+    for i, h in enumerate(fitted.handles):
+        if h.tie is not None:
+            weights = np.zeros(len(out))
+            leader = place[h.index, LEADER]
+            weights[[i, leader]] = fitted.x[leader], fitted.x[i]
+            out[i] = math.sqrt(max(float(weights @ fitted.covariance @ weights), 0.0))
+    return out
+
+
 def _noted(model: Model, fits: dict[int, Fit]) -> Model:
     """The model with the standard deviations of the fits, including the differences between any two
     simulators.
@@ -270,7 +284,7 @@ def _noted(model: Model, fits: dict[int, Fit]) -> Model:
     mechanism = {key: list(items) for key, items in model.mechanism.items()}
     terms = {id(t): dict(t.parameters) for t in model.terms}
     for fitted in fits.values():
-        for h, s in zip(fitted.handles, fitted.std, strict=True):
+        for h, s in zip(fitted.handles, of_ratios(fitted), strict=True):
             if h.place == "mechanism":
                 known = mechanism[h.key][h.index]
                 mechanism[h.key][h.index] = _known_to(known, h.key, float(s))

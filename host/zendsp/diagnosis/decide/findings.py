@@ -77,6 +77,8 @@ def estimates(
         if p.choices or (not p.fitted and effect.coupled):
             continue
         value = term.value(p.name, p.default or 0.0)
+        if not p.fitted and not value:  # physics that is absent
+            continue
         at = [
             i
             for i, h in enumerate(fit.handles)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,10 @@ from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.transmission.claims import Claim
+from zendsp.diagnosis.transmission.load_side import OF_A_CONTACT as CONTACT_KNOWN
+from zendsp.diagnosis.transmission.load_side import LoadSide
 from zendsp.diagnosis.transmission.torsion import Motor, has_bodies, joint_inertia
+from zendsp.physics.calibration.handles import LEADER
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Quantity, Term
 
@@ -37,7 +41,6 @@ LOOSE = 0.02
 # 0.04 to 0.7 % off, with stated 0.002 to 0.06 %
 MEASURED = 0.005
 OF_AN_ORDER = 5e-4  # simulated ones of 6 came out at 6.0012 over 1.2 periods, 5.9969 over five
-OF_A_CONTACT_K = 0.05  # of a contact's stiffness: 10 000 N m/rad came out as 9 350
 
 
 def load_behind(model: Model, inertia: float, motor: Motor) -> tuple[float, float]:
@@ -60,8 +63,8 @@ def findings_of(
     joint: int,
     scale: float,
     claims: Sequence[Claim],
-    waves: Sequence[Claim],
     load: tuple[float, float],
+    side: LoadSide | None = None,
 ) -> tuple[tuple[Finding, ...], tuple[Term, ...]]:
     """The findings with the contract's names, and the terms for the model."""
     by = {c.name: c for c in claims}
@@ -69,7 +72,7 @@ def findings_of(
     spring = by.get("spring")
     if spring is not None:
         stiffness = -1.0 / spring.value
-        sure = OF_A_CONTACT_K if "gap" in by else MEASURED
+        sure = CONTACT_KNOWN if "gap" in by else MEASURED
         relative = math.hypot(spring.std / spring.value, sure)
         numbers = {"stiffness": (stiffness, relative * stiffness)}
         if spring.damping[0] > PLAIN * spring.damping[1]:
@@ -83,14 +86,13 @@ def findings_of(
         name = "elasticity"
         if "gap" in by:
             pressed = 2.0 * scale * relative * abs(spring.value)
-            name, numbers = "backlash", {"gap": _gap(by["gap"], pressed), **numbers}
+            name, numbers = "backlash", {"gap": _gap(by["gap"], side, pressed), **numbers}
         elif "cubic" in by:
             name = "stiffening"
-            bend = by["cubic"].value * stiffness**4 / scale**2
-            numbers["stiffness3"] = bend, by["cubic"].std / by["cubic"].value * bend
+            numbers["stiffness3"] = _hardening(by["cubic"], stiffness, relative, scale, side)
         made.append((name, spring, numbers, details))
     elif "gap" in by:
-        numbers = {"gap": _gap(by["gap"])}
+        numbers = {"gap": _gap(by["gap"], side)}
         if load[0]:
             numbers["load_inertia"] = load
         made.append(("backlash", by["gap"], numbers, {}))
@@ -103,7 +105,7 @@ def findings_of(
         made.append(
             ("hysteresis", loop, {"step": (-2 * loop.value, 2 * loop.std)}, {"torque": held})
         )
-    for w in waves:
+    for w in (c for c in claims if c.name == "wave"):
         numbers = {
             "order": (w.order, math.hypot(w.order_std, OF_AN_ORDER * w.order)),
             "amplitude": (w.value, math.hypot(w.std, MEASURED * w.value)),
@@ -115,20 +117,41 @@ def findings_of(
         _finding(model, joint, name, claim, numbers, details, claim.size**2 / everything)
         for name, claim, numbers, details in made
     )
-    terms = tuple(_term(model, parts, name, joint, numbers) for name, _, numbers, _ in made)
+    terms = tuple(_term(model, parts, name, joint, numbers, side) for name, _, numbers, _ in made)
     return findings, tuple(t for t in terms if t is not None)
 
 
-def _gap(claim: Claim, pressed: float = 0.0) -> tuple[float, float]:
-    """The full width of a gap and its standard deviation. The yielding of both contacts under the
-    RMS torque is subtracted; ``pressed`` is its standard deviation.
+def _hardening(
+    claim: Claim, stiffness: float, relative: float, scale: float, side: LoadSide | None
+) -> tuple[float, float]:
+    """The stiffness of the bend cubed, and its standard deviation: by the load's own equation, or
+    from two terms of the compliance's series in the torque. ``relative``: of the stiffness.
     """
+    told = {t.key: t for t in side.ties} if side is not None else {}
+    if "stiffness3" in told:
+        cube, load = told["stiffness3"], stiffness / told["stiffness"].ratio
+        return cube.ratio * load, math.hypot(cube.std, cube.ratio * relative) * load
+    bend = claim.value * stiffness**4 / scale**2
+    return bend, math.hypot(claim.std / claim.value, 4.0 * relative) * bend
+
+
+def _gap(claim: Claim, side: LoadSide | None, pressed: float = 0.0) -> tuple[float, float]:
+    """The full width of a gap and its standard deviation: by the load's own equation, or with the
+    yielding of both contacts under the RMS torque, known to ``pressed``, subtracted.
+    """
+    if side is not None and side.gap is not None:
+        return side.gap[0], math.hypot(side.gap[1], OF_A_GAP * side.gap[0])
     width = -2.0 * claim.value
     return width, math.hypot(2.0 * claim.std, OF_A_GAP * width, pressed)
 
 
 def _term(
-    model: Model, parts: Parts, name: str, joint: int, numbers: dict[str, tuple[float, float]]
+    model: Model,
+    parts: Parts,
+    name: str,
+    joint: int,
+    numbers: dict[str, tuple[float, float]],
+    side: LoadSide | None,
 ) -> Term | None:
     """The term for the model: numbers that the two sensors know well are held; those known no
     better than ``LOOSE`` are fitted to the motor's position. None where the kernel has no such law.
@@ -147,20 +170,34 @@ def _term(
         if "load_inertia" in loose:  # a motor without inertia would follow any motion
             load = min(load, MOST_LOAD * inertia)
             known["load_inertia"] = load, std
+            if side is not None:
+                known |= {t.key: (t.ratio * load, t.std * load) for t in side.ties}
         known.setdefault("stiffness", ((2 * math.pi * CONTACT) ** 2 * min(load, inertia), 0.0))
         loss = OF_A_CONTACT if name == "backlash" else OF_A_SPRING
         damping = loss * math.sqrt(known["stiffness"][0] * min(load, inertia))
         known.setdefault("damping", (damping, 0.0))
+        dry = side.dry * load if side is not None else 0.0
+        known["load_dry"] = dry, 0.0
+        loose |= {"load_dry"} if dry else set()
     values = {
         p.name: Quantity(
             max(known[p.name][0], p.lower),
-            p.name not in numbers or p.name in loose,
+            p.name in loose or (p.fitted and p.name not in numbers),
             "",
             known[p.name][1],
         )
         for p in get_effect(name).parameters
     }
     return Term(name, joint, values)
+
+
+def rubbing(model: Model, joint: int, side: LoadSide | None) -> tuple[Term, ...]:
+    """The model's own spring with the dry friction of its load, where two sensors show some."""
+    own = [t for t in model.at(joint) if "load_dry" in t.parameters]
+    if side is None or not side.dry or not own:
+        return ()
+    level = Quantity(side.dry * own[0].value(LEADER))
+    return (replace(own[0], parameters={**own[0].parameters, "load_dry": level}),)
 
 
 def _bodies(parts: Parts, model: Model, joint: int) -> float:
@@ -184,7 +221,33 @@ def _finding(
     for key, (value, std) in numbers.items():
         size = next((p.size for p in effect.parameters if p.name == key), "position")
         values[key] = Estimate(value, std, unit_of(size, kind, model.actuator.command_unit, torque))
-    if claim.name == "loop":
+    same = claim.same
+    sure = _sure(claim) * (0.5 + 0.5 / (1 + len(same)))
+    return Finding(
+        name,
+        joint,
+        values,
+        sure,
+        share,
+        same,
+        (),
+        _words(name, joint, values, details, torque, same),
+        {"details": {"sensors": SENSORS, **details}},
+        effect.mechanism,
+        {name: 1.0},
+    )
+
+
+def _words(
+    name: str,
+    joint: int,
+    values: dict[str, Estimate],
+    details: DetailsReport,
+    torque: str,
+    same: Sequence[str],
+) -> str:
+    """A finding in words."""
+    if name == "hysteresis" and "torque" in details:
         text = (
             f"The transmission of joint {joint} has hysteresis: unloaded, it stands"
             f" {number(values['step'])} apart after the one torque and after the other (up to"
@@ -197,26 +260,47 @@ def _finding(
         )
     elif name == "elasticity":
         text = f"Joint {joint} is elastic: stiffness {number(values['stiffness'])}."
+        if "load_dry" in values:
+            text += f" Its load rubs by itself: {number(values['load_dry'])}."
     else:
         text = sentence(Term(name, joint, {}), values)
     text += " Measured by the sensors on both sides of its transmission."
-    if claim.same:
-        text += f" This recording cannot tell it from {', '.join(claim.same)}."
-    same = claim.same
-    sure = _sure(claim) * (0.5 + 0.5 / (1 + len(same)))
-    return Finding(
-        name,
-        joint,
-        values,
-        sure,
-        share,
-        same,
-        (),
-        text,
-        {"details": {"sensors": SENSORS, **details}},
-        effect.mechanism,
-        {name: 1.0},
-    )
+    if same:
+        text += f" This recording cannot tell it from {', '.join(same)}."
+    return text
+
+
+def restated(found: Finding, improved: Model) -> Finding:
+    """A finding with the numbers of the improved model, where the ratio of a load to its spring was
+    held in the fit: the motor's position then tells what the two sensors leave open.
+    """
+    for term in improved.at(found.joint):
+        known = {k: q for k, q in term.parameters.items() if q.std > 0.0}
+        if term.effect == found.effect and {"stiffness", LEADER}.issubset(known):
+            kind, torque = improved.joint_kind(found.joint), improved.torque_unit(found.joint)
+            sure = {"stiffness": CONTACT_KNOWN} if "gap" in known else {}
+            sizes = {p.name: p.size for p in get_effect(term.effect).parameters}
+            values = {
+                k: Estimate(
+                    known[k].value,
+                    math.hypot(known[k].std, sure.get(k, MEASURED) * known[k].value),
+                    unit_of(sizes[k], kind, improved.actuator.command_unit, torque),
+                )
+                for k in known
+                if k in found.parameters or k == "load_dry"
+            }
+            details = found.numbers["details"]
+            spring = values["stiffness"]
+            details = {
+                **details,
+                "compliance": 1.0 / spring.value,
+                "compliance_std": spring.std / spring.value**2,
+            }
+            text = _words(
+                found.effect, found.joint, values, details, torque, found.indistinguishable
+            )
+            return replace(found, parameters=values, sentence=text, numbers={"details": details})
+    return found
 
 
 def helpful(

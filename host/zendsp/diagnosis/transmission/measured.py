@@ -11,11 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.result import Detectable, Finding
 from zendsp.diagnosis.transmission.claims import Claim, claims_of, least_compliance
-from zendsp.diagnosis.transmission.findings import findings_of, helpful, load_behind
+from zendsp.diagnosis.transmission.findings import (
+    findings_of,
+    helpful,
+    load_behind,
+    restated,
+    rubbing,
+)
+from zendsp.diagnosis.transmission.load_side import LoadSide, gap_side, load_side
 from zendsp.diagnosis.transmission.sets import (
     Sets,
     compliance_unit,
@@ -52,6 +60,38 @@ class Measured:
     terms: tuple[Term, ...] = ()
     detectable: tuple[Detectable, ...] = ()
     notes: tuple[str, ...] = ()
+    side: LoadSide | None = None  # of a spring that is measured or in the model
+    known: bool = False  # the model has a transmission there already
+
+    def stated(self, improved: Model) -> tuple[Finding, ...]:
+        """The findings, with the numbers of the improved model where these are surer. Beside a
+        known spring an error over the angle is one that the motor feels: a ripple shakes the load.
+        """
+        felt = {t.effect for t in improved.at(self.joint)}
+        found = [f for f in self.findings if f.effect in felt or not self.known]
+        return tuple(f if self.side is None else restated(f, improved) for f in found)
+
+    def calibrating(self, given: Model) -> Measured:
+        """The same with only the terms that stand in place of the given model's own."""
+        own = {(t.effect, t.joint) for t in given.terms}
+        return replace(self, terms=tuple(t for t in self.terms if (t.effect, t.joint) in own))
+
+    def upon(self, model: Model) -> Model:
+        """A model with the measured terms, in place of its own of that kind."""
+        ours = {(t.effect, t.joint) for t in self.terms}
+        kept = (t for t in model.terms if (t.effect, t.joint) not in ours)
+        return model.with_terms((*kept, *self.terms))
+
+
+def upon(model: Model, found: Sequence[Measured]) -> Model:
+    """A model with the terms of all measured transmissions."""
+    return reduce(lambda beneath, m: m.upon(beneath), found, model)
+
+
+def with_ties(parts: Parts, found: Sequence[Measured]) -> Parts:
+    """The recordings with what their second sensors say of loads on springs."""
+    ties = {m.joint: m.side.ties for m in found if m.side is not None}
+    return replace(parts, fit=replace(parts.fit, ties=ties))
 
 
 def measured_transmissions(parts: Parts, model: Model, jobs: int) -> list[Measured]:
@@ -95,7 +135,13 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     band = OF_BODIES if has_bodies(model) and not sides else OF_MOTOR
     inertia = joint_inertia(parts.fit, model, joint)
     lag, waves, straight = _in_time(raw, model, band)
-    chosen, slow, motor = choose(straight.each(lambda t: lowpass(t, band)), inertia, known_motor)
+    below = straight.each(lambda t: lowpass(t, band))
+    chosen, slow, motor = choose(below, inertia, known_motor)
+    side = None
+    if not has_bodies(model):
+        turns = model.joint_kind(joint) == "rotary"
+        gapped = "gap" in chosen.terms
+        side = gap_side(straight, turns) if gapped else load_side(below, chosen.terms, turns)
     scale = torque_scale(slow.fit)
     claims = [_spread(c, motor) for c in claims_of(slow, chosen, scale, model)]
     if lag:
@@ -103,13 +149,23 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         notes.append(_in_words(model, joint, lag, springs))
     if known:
         said = in_figures(claims, compliance_unit(model, joint))
+        how = " with the ratio of stiffness and load that they show" if side else " alone"
         notes.append(
             f"joint {joint}: the model has {', '.join(known)} already; the two sensors show {said}."
-            " The model's own numbers are fitted to the position column alone"
+            f" The model's own numbers are fitted to the position column{how}"
         )
-        return Measured(joint, notes=tuple(notes))
+        errors = [] if "transmission_error" in known else waves
+        findings, terms = findings_of(parts, model, joint, scale, errors, (0.0, 0.0))
+        terms = helpful(with_ties(parts, [Measured(joint, side=side)]), model, joint, terms, jobs)
+        rubs = rubbing(model, joint, side)
+        notes += [
+            f"joint {joint}: of its dry friction about {t.value('load_dry'):.3g}"
+            f" {model.torque_unit(joint)} acts on the load, behind the spring"
+            for t in rubs
+        ]
+        return Measured(joint, findings, (*terms, *rubs), (), tuple(notes), side, known=True)
     load = load_behind(model, inertia, motor)
-    findings, terms = findings_of(parts, model, joint, scale, claims, waves, load)
+    findings, terms = findings_of(parts, model, joint, scale, [*claims, *waves], load, side)
     found = {c.name for c in claims}
     seen: tuple[Detectable, ...] = ()
     if "spring" not in found:
@@ -120,8 +176,8 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
             f"joint {joint}: its two sensors show no compliance; one of {least:.2g} {unit} would"
             " have been seen"
         )
-    terms = helpful(parts, model, joint, terms, jobs)
-    return Measured(joint, findings, terms, seen, tuple(notes))
+    out = Measured(joint, findings, terms, seen, tuple(notes), side)
+    return replace(out, terms=helpful(with_ties(parts, [out]), model, joint, terms, jobs))
 
 
 def in_figures(claims: Sequence[Claim], unit: str) -> str:

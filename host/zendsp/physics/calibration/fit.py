@@ -18,7 +18,14 @@ import numpy.typing as npt
 from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.covariance import robust_covariance
 from zendsp.physics.calibration.descent import Descent
-from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
+from zendsp.physics.calibration.handles import (
+    Handle,
+    Tie,
+    free_handles,
+    get_values,
+    set_values,
+    tied,
+)
 from zendsp.physics.calibration.joint import JointRecord, facts
 from zendsp.physics.calibration.predict import run, run_many
 from zendsp.physics.effects import get_effect
@@ -51,7 +58,7 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
         ):
             continue
         out.append(h)
-    return tuple(out)
+    return tied(model, out, data.ties)
 
 
 @dataclass(frozen=True)
@@ -66,6 +73,8 @@ class Data:
     ranges: Mapping[tuple[str, int], tuple[float, float]] = field(
         default_factory=dict
     )  # of inertial figures: see diagnosis/data/inertia.py
+    # of loads on springs, by joint: see diagnosis/transmission/load_side.py
+    ties: Mapping[int, tuple[Tie, ...]] = field(default_factory=dict)
 
     @property
     def joints(self) -> int:
@@ -172,7 +181,11 @@ def bounds_and_steps(
     """Lower and upper bounds and the natural size of each number, (p,) each."""
     low, high, size = [], [], []
     for h in handles:
-        if h.place == "term":
+        if h.tie is not None:
+            low.append(h.tie.within[0])
+            high.append(h.tie.within[1])
+            size.append(h.tie.ratio)
+        elif h.place == "term":
             term = model.terms[h.index]
             parameter = get_effect(term.effect).parameter(h.key)
             # parts of the data prepared apart have ranges of their own
@@ -278,7 +291,7 @@ def fit(
     covariance = robust_covariance(jac[:rows], r[:rows], block_count(data), problem.prior)
     low, high = problem.low, problem.high
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
-    at_bound = tuple(bool(v) for v in near)
+    at_bound = tuple(bool(v) and h.tie is None for v, h in zip(near, handles, strict=True))
     found = Fit(
         set_values(model, handles, x), handles, x, covariance, float(r @ r), at_bound, jac, r,
     )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.calibration.handles import Handle, set_values
+from zendsp.physics.calibration.handles import LEADER, Handle, set_values
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import (
     fill,
@@ -60,13 +60,14 @@ class Points:
         self._alive = fill(self._base, record, model, bandwidth, inner, packed=self.packed)
         # of each handle that this joint feels, by what it moves
         self._cells: list[tuple[int, int, int, int]] = []  # handle, row, column, less
+        self._ratios: list[tuple[int, int, int, int]] = []  # handle, row, column, that of what
         self._gain: list[int] = []
         self._shift: list[int] = []
         self._gravity: list[int] = []  # only what the kernel multiplies with a sine
         self._rigid: list[int] = []  # inertia and known torque
         for i, handle in enumerate(handles):
             self._sort(i, handle)
-        cells = [cell[0] for cell in self._cells]
+        cells = [cell[0] for cell in (*self._cells, *self._ratios)]
         self._felt = [*cells, *self._gain, *self._shift, *self._gravity, *self._rigid]
 
     def _sort(self, i: int, handle: Handle) -> None:
@@ -94,7 +95,10 @@ class Points:
                 )
                 column = effect.names.index(handle.key)
                 less = int(effect.parameter(handle.key).size == "joint")
-                self._cells.append((i, row, column, less))
+                if handle.tie is not None:
+                    self._ratios.append((i, row, column, effect.names.index(LEADER)))
+                else:
+                    self._cells.append((i, row, column, less))
 
     def innovations(self, points: Sequence[Array], out: Array) -> None:
         """Weighted innovations at one point, ``out`` (n,), or at up to eight points, the first
@@ -131,6 +135,8 @@ class Points:
         tables = np.repeat(table[None], count, axis=0)
         for i, row, column, less in self._cells:
             tables[:, row, column] = at[:, i] - less
+        for i, row, column, leader in self._ratios:
+            tables[:, row, column] = at[:, i] * tables[:, row, leader]
         m = lib.ffi.new("zk_model[]", LANES)
         p = lib.doubles(tables)
         known: dict[tuple[float, ...], list[Any]] = {}  # the lane of each

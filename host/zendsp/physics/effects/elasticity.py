@@ -53,8 +53,12 @@ EFFECT = Effect(
             "load_inertia", "inertia", lower=1e-12, limits=load_limits,
             meaning="part of the joint's inertia that is behind the spring",
         ),
+        Parameter(
+            "load_dry", "torque", lower=0, default=0.0, fitted=False,
+            meaning="dry friction of the load, which two position sensors show",
+        ),
     ),
-    c="two_mass = 1; k_spring = p[0]; c_spring = p[1]; j_load = p[2];",
+    c="two_mass = 1; k_spring = p[0]; c_spring = p[1]; j_load = p[2]; dry_load = p[3];",
     sentence=(
         "Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia}."
     ),

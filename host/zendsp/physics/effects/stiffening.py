@@ -65,10 +65,14 @@ EFFECT = Effect(
             "damping", "torque/speed", lower=0, default=0.0, limits=transmission_damping_limits,
             meaning="0: a twentieth of critical",
         ),
+        Parameter(
+            "load_dry", "torque", lower=0, default=0.0, fitted=False,
+            meaning="dry friction of the load, which two position sensors show",
+        ),
     ),
     c=(
         "two_mass = 1; k_spring = p[0]; k_cubic = p[1]; j_load = p[2]; c_spring = p[3] > 0 ? "
-        "p[3] : -1;"
+        "p[3] : -1; dry_load = p[4];"
     ),
     sentence=(
         "The transmission of joint {joint} stiffens as it bends: {stiffness} at rest, and "

@@ -83,7 +83,8 @@ INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l, double hangs
     const double k = O->N->k_spring[l], k3 = O->N->k_cubic[l], extra = O->N->j_extra[l];
     double jm, jl;
     share_inertia(M, M->inertia[0] + extra, extra, O->N->j_load[l], &jm, &jl);
-    const double push = jl * M->a0 + M->bias[0] + O->N->gravity[l] * sin(M->q0) + hangs;
+    const double push = jl * M->a0 + M->bias[0] + O->N->gravity[l] * sin(M->q0) + hangs +
+                        O->N->dry_load[l] * sgn(M->qd0);
     double bent = k > 0 ? push / k : 0.0;
     /* k x + k3 x^3 = push by Newton's method, which converges from above */
     for (int i = 0; i < 20 && k3 > 0; i++)

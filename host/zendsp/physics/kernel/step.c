@@ -120,7 +120,8 @@ INLINE void OF(stretch)(const OF(task) *O, OF(motion) *X)
                pull = (N->k_spring[l] + N->k_cubic[l] * g * g) * g + c * dv;
         pull /= 1.0 + 0.5 * h * c * (X->per_jm[l] + X->per_jl[l]); /* damped by its mean speed */
         X->spring[l] = (gap > 0) & (pull * g < 0) ? 0.0 : pull; /* a contact pushes only */
-        double vl = X->qdl[l] + h * (X->spring[l] - fall[l]) * X->per_jl[l];
+        double vl = OF(soft)(X->qdl[l] + h * (X->spring[l] - fall[l]) * X->per_jl[l],
+                             h * N->dry_load[l] * X->per_jl[l]);
         X->ql[l] += 0.5 * h * (X->qdl[l] + vl);
         X->qdl[l] = vl;
     }

@@ -153,6 +153,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
         b[m] += H * (push - 0.5 * damp * v[m]);
         b[i] -= H * f.load;
         if (m != i) { /* spring between motor and load, contact judged halfway */
+            up[i] = down[i] = H * j->dry_load;
             double turn, unused;
             const double twist = through(j, S->x[m], &turn, &unused) - S->x[i];
             through(j, xm[m], &turn, &unused);
