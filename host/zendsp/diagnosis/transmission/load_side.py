@@ -88,7 +88,7 @@ class LoadSide:
 def gap_side(straight: Sets, turns: bool) -> LoadSide | None:
     """The same of a load behind a gap: which side is closed its own acceleration says, where the
     motor's inertia, and with it the transmitted torque, is known only roughly. A gap of 12 mrad
-    came out at 12.03 ± 0.12, by the motor's torque at 9.2 ± 3.
+    came out at 11.4 to 12.0, by the motor's torque at 9.2 ± 3.
     """
     fit, columns = [], []
     for raw in straight.fit:
