@@ -349,3 +349,30 @@ def test_no_gain_is_called_wrong_by_a_part_that_hardly_moves_when_another_shows_
     ask(["a: joint 1", "a: joint 2"], "still", model, ["moving"])
     with pytest.raises(RecordingError, match="divide the actuator's gain by about"):
         ask(["a: joint 1", "a: joint 2"], "still", model)
+
+
+@pytest.mark.parametrize("agrees", [True, False])
+def test_a_part_accuses_no_column_that_another_part_of_the_recording_shows_to_be_right(
+    agrees: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A real acrobot that people pushed was "of different runs" in the last part of three files."""
+    pushed = SimpleNamespace(
+        r2=0.7, slope=-0.5, error=1e-3, share=0.5, friction=0.0, held=False, alike=1.0
+    )
+    found = {"pushed": pushed, "other": SimpleNamespace(**{**vars(pushed), "slope": 1.0})}
+    monkeypatch.setattr(
+        plausibility, "_looked",
+        lambda part, _: SimpleNamespace(
+            found=[found[part]], slow=None, body=None, u=np.ones((1, 1))
+        ),
+    )  # fmt: skip
+    for name in ("check_order", "is_carried", "is_tool", "_clipped", "_undo", "_mistakes"):
+        monkeypatch.setattr(plausibility, name, lambda *_: False)
+    ask: Any = plausibility.check_driven
+    model = SimpleNamespace(actuator=SimpleNamespace(unit="A"), joint_kind=lambda _: "rotary")
+    records = "pushed"
+    if agrees:
+        ask(["a"], records, model, ["other"])
+    else:
+        with pytest.raises(RecordingError, match="flipped"):
+            ask(["a"], records, model, ["pushed"])

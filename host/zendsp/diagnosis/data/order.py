@@ -26,7 +26,8 @@ Array = npt.NDArray[np.float64]
 # of the torque's energy, as the mean over the joints: three joints in order left 0.002, with a
 # mistake 0.4 to 3.4
 AMISS_BY = 0.3
-UNDONE = 0.1  # of that energy: what the mistake, undone, leaves at most
+# of that energy, or of the torque's where that is less: what the mistake, undone, leaves at most
+UNDONE = 0.1
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def check_order(where: str, records: Sequence[JointRecord], model: Model) -> Non
         for words, undone, weight in _mistakes(columns, model)
     ]
     after, words = min(tried)
-    if after < UNDONE * before:
+    if after < UNDONE * min(before, 1.0):
         raise RecordingError(
             f"{where}: {words}: the model leaves {100 * min(before, 1.0) ** 0.5:.0f} % of the"
             f" joints' torques, and {100 * after**0.5:.2g} % once that is undone"

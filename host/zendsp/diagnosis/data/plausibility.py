@@ -128,7 +128,8 @@ def check_driven(
         if found is not None and found.r2 > GOOD and abs(found.slope) > SURE_ERRORS * found.error
     ]
     # a part in which joints hardly move says nothing about a gain that another part confirms
-    shown = any(_agreeing(_looked(part, model).found) for part in beside)
+    others = [_agreeing(_looked(part, model).found) for part in beside]
+    shown = any(others)
     # of joints without gravity, degrees are one factor too
     degrees = all(UNIT_TOLERANCE < abs(x) * DEGREE < 1.0 / UNIT_TOLERANCE for x in slopes)
     if not shown and not degrees and not is_tool(here.slow, model, here.body):
@@ -138,15 +139,18 @@ def check_driven(
             continue
         if found.share > PASSIVE and agreeing - {i}:
             continue
+        # where another part shows that its columns are right, something else acts in this one
+        right = any(i in each for each in others)
         little = found.slope + ERRORS * found.error < LITTLE
         if little and is_carried(here.slow, model, i + 1, here.body):
             continue
-        if signs:
+        if signs and not right:
             _sign(name, found)
-        if little or (found.slope - ERRORS * found.error > MUCH and found.r2 > HALF):
+        much = found.slope - ERRORS * found.error > MUCH and found.r2 > HALF
+        if (little or much) and not right:
             kind = model.joint_kind(i + 1)
-            every = [agreeing, *[_agreeing(_looked(part, model).found) for part in beside]]
-            units = not any(model.joint_kind(k + 1) == kind for some in every for k in some)
+            every = agreeing.union(*others)
+            units = not any(model.joint_kind(k + 1) == kind for k in every)
             period = records[0].sample_time
             likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "")
             _undo(name, found, likely, period, model, i)
