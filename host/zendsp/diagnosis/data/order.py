@@ -11,12 +11,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.regression import TURNS, look, rigid_body
+from zendsp.diagnosis.data.regression import TURNS, Slow, look, rigid_body
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import TREES, Model, per_joint
@@ -28,15 +28,7 @@ Array = npt.NDArray[np.float64]
 AMISS_BY = 0.3
 # of that energy, or of the torque's where that is less: what the mistake, undone, leaves at most
 UNDONE = 0.1
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Positions and torques of all joints, (joints, n), and the positions' noise, (joints,)."""
-
-    q: Array
-    torque: Array
-    noise: Array
+COMPARED = 200  # rows of a recording, or a few more: these parts of the energy are no fine ones
 
 
 def check_order(where: str, records: Sequence[JointRecord], model: Model) -> None:
@@ -50,18 +42,20 @@ def check_order(where: str, records: Sequence[JointRecord], model: Model) -> Non
     if model.kind not in TREES or len(records) < 2 or not all(np.ptp(r.command) for r in records):
         return
     gain = np.array([per_joint(model.actuator.gain, r.joint, 1.0) for r in records])
-    columns = _Columns(
+    slow = look(
         np.stack([r.position for r in records]),
         gain[:, None] * np.stack([r.command for r in records]),
+        records[0].sample_time,
         np.array([r.measurement.std for r in records]),
     )
-    period = records[0].sample_time
-    before = _left(columns, period, model)
+    some = slice(None, None, max(1, slow.q.shape[1] // COMPARED))
+    q, qd, qdd, command = (x[:, some] for x in (slow.q, slow.qd, slow.qdd, slow.command))
+    slow = replace(slow, q=q, qd=qd, qdd=qdd, command=command)
+    before = _left(slow, model)
     if before < AMISS_BY:
         return
     tried = [
-        (_left(undone, period, model, weight), words)
-        for words, undone, weight in _mistakes(columns, model)
+        (_left(undone, model, weight), words) for words, undone, weight in _mistakes(slow, model)
     ]
     after, words = min(tried)
     if after < UNDONE * min(before, 1.0):
@@ -71,50 +65,54 @@ def check_order(where: str, records: Sequence[JointRecord], model: Model) -> Non
         )
 
 
-def _mistakes(c: _Columns, model: Model) -> Iterator[tuple[str, _Columns, float]]:
+def _mistakes(slow: Slow, model: Model) -> Iterator[tuple[str, Slow, float]]:
     """Each mistake in words, the columns without it, and the part of gravity in the torques."""
-    joints = range(len(c.q))
+    joints = range(len(slow.q))
+
+    def moved(order: list[int], sign: Array, turn: Array) -> Slow:
+        q, qd, qdd = (sign * x[order] for x in (slow.q, slow.qd, slow.qdd))
+        return replace(slow, q=q + turn, qd=qd, qdd=qdd)
+
+    as_it_is, none = np.ones((len(joints), 1)), np.zeros((len(joints), 1))
     for i, j in itertools.combinations(joints, 2):
         order = list(joints)
         order[i], order[j] = j, i
         names = f"joints {i + 1} and {j + 1}"
-        noise = c.noise[order]
+        positions, command = moved(order, as_it_is, none), slow.command[order]
         yield (
             f"the columns of {names} are exchanged (a driver may list joints by the alphabet)",
-            _Columns(c.q[order], c.torque[order], noise), 1.0,
+            replace(positions, command=command), 1.0,
         )  # fmt: skip
-        yield f"the positions of {names} are exchanged", _Columns(c.q[order], c.torque, noise), 1.0
-        yield f"the commands of {names} are exchanged", _Columns(c.q, c.torque[order], c.noise), 1.0
+        yield f"the positions of {names} are exchanged", positions, 1.0
+        yield f"the commands of {names} are exchanged", replace(slow, command=command), 1.0
     for j in joints:
-        sign = np.where(np.arange(len(c.q)) == j, -1.0, 1.0)[:, None]
+        own = np.arange(len(joints))[:, None] == j
+        sign = np.where(own, -1.0, 1.0)
         words = f"joint {j + 1} counts the other way than in the model (position and command)"
-        yield words, _Columns(sign * c.q, sign * c.torque, c.noise), 1.0
+        other_way = moved(list(joints), sign, none)
+        yield words, replace(other_way, command=sign * slow.command), 1.0
         if model.joint_kind(j + 1) == "rotary":
             for quarter in (1, 2, 3):
-                turn = np.where(np.arange(len(c.q)) == j, quarter * np.pi / 2, 0.0)[:, None]
-                away = math.remainder(quarter * np.pi / 2, 2 * np.pi)
+                away = math.remainder(quarter * math.pi / 2, 2 * math.pi)
                 words = f"the zero of joint {j + 1} lies elsewhere ([sensor] offset = {away:.4g})"
-                yield words, _Columns(c.q + turn, c.torque, c.noise), 1.0
+                yield words, moved(list(joints), as_it_is, np.where(own, away, 0.0)), 1.0
     words = (
         "the command is without gravity, which the drives seem to add: put the model's gravity"
         " along the motion into the column, or record the whole torque"
     )
-    yield words, c, 0.0
+    yield words, slow, 0.0
 
 
-def _left(c: _Columns, period: float, model: Model, weight: float = 1.0) -> float:
+def _left(slow: Slow, model: Model, weight: float = 1.0) -> float:
     """What a model leaves of the torques beside friction, as a part of their energy: the mean over
     the joints.
     """
-    slow = look(c.q, c.torque, period, c.noise)
     rigid, gravity = rigid_body(slow, model)
     parts = []
     for j, torque in enumerate(slow.command):
         qd = slow.qd[j]
         speed = float(np.sqrt(np.mean(qd**2)))
-        columns = np.stack(
-            [qd, np.tanh(qd / (TURNS * speed + 1e-300)), np.ones_like(qd)], axis=1
-        )
+        columns = np.stack([qd, np.tanh(qd / (TURNS * speed + 1e-300)), np.ones_like(qd)], axis=1)
         lacks = torque - rigid[j] - weight * gravity[j]
         theta, *_ = np.linalg.lstsq(columns, lacks)
         whole = float(np.sum((torque - torque.mean()) ** 2))
