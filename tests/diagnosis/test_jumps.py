@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,13 @@ from mistakes import Columns
 from reality import FAST, KNOWN
 
 from zendsp.diagnosis.data.checks import check_signals
+from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.naming import _turned
 from zendsp.diagnosis.decide.result import Estimate
+from zendsp.diagnosis.decide.zeros import check_zeros
+from zendsp.errors import RecordingError
+from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.term_numbers import kernel_model
@@ -107,6 +112,22 @@ def test_recordings_whose_zeros_differ_are_refused_with_what_to_add(
     added = float(text.partition("Add ")[2].partition(" to the column")[0])
     assert "run2.csv: by gravity" in text
     assert math.remainder(added + zero, 2 * math.pi) == pytest.approx(0.0, abs=0.05), text
+
+
+def test_parts_of_one_recording_have_one_zero(
+    pendulum: tuple[Callable[..., Path], Path]
+) -> None:
+    """A cubic spring that the model lacked made the halves of a recording hang apart: refused."""
+    write, file = pendulum
+    model = kernel_model(load_model(file))
+    one, other = (
+        prepare([read_signals(write(seed, zero), model)], model, 64.0).records[0][0]
+        for seed, zero in ((1, 0.0), (2, 0.4))
+    )
+    records = ((one,), (replace(other, recording=one.recording),))
+    check_zeros(Data(records, (64.0,)), model)
+    with pytest.raises(RecordingError, match="by gravity"):
+        check_zeros(Data(((one,), (other,)), (64.0,)), model)
 
 
 @pytest.mark.parametrize(("zero", "weight"), [(0.4, WEIGHT), (0.0, 1.3 * WEIGHT)])

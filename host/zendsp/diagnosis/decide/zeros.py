@@ -11,7 +11,6 @@ import numpy as np
 
 from zendsp.diagnosis.data.regression import ANGLE_SPAN, PER_COLUMN, TURNS, look
 from zendsp.diagnosis.data.series import repeats
-from zendsp.diagnosis.decide.thresholds import PREDICTED
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data, residual
@@ -22,6 +21,8 @@ ZERO_SURE = 6.0  # standard errors of the difference of two zeros: chosen, not m
 ROUGHLY = 2.0  # standard errors by a regression, from which the zeros are estimated by fits
 SAME_WEIGHT = 0.05  # of the weight, which is the same in both recordings
 OTHER_ZERO = 8.0  # of the sensor: a smaller difference of two zeros is none
+# of the energy that one zero for both leaves: another of 0.7 rad left 2e-5 of it, of 0.05 rad 0.003
+LEFT_BY_OWN = 0.1
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,17 @@ def check_zeros(data: Data, model: Model) -> None:
     if model.kind != "rotary" or model.joints > 1 or not mechanism_value(model, "gravity", 1):
         return
     gain = per_joint(model.actuator.gain, 1, 1.0)
-    rough = [(rec, w) for rec in data.records if (w := _by_regression(rec[0], gain)) is not None]
-    if not any(w.apart(other, ROUGHLY) for _, w in rough for _, other in rough):
+    of: dict[str, list[tuple[JointRecord, ...]]] = {}  # parts of a recording have one zero
+    for rec in data.records:
+        of.setdefault(rec[0].recording, []).append(rec)
+    longest = (max(parts, key=lambda rec: rec[0].n)[0] for parts in of.values())
+    rough = [w for record in longest if (w := _by_regression(record, gain)) is not None]
+    if not any(w.apart(other, ROUGHLY) for w in rough for other in rough):
         return
-    each = [_by_fit(replace(data, records=(rec,)), model, w) for rec, w in rough]
+    each = [_by_fit(replace(data, records=tuple(of[w.recording])), model, w) for w in rough]
     first = min(each, key=lambda one: abs(one[1].hangs))
     right = first[1]
-    least = OTHER_ZERO * max(rec[0].measurement.resolution for rec, _ in rough)
+    least = OTHER_ZERO * max(record.measurement.resolution for (record,) in data.records)
     for one in each:
         w = one[1]
         away = w.apart(right, ZERO_SURE)
@@ -99,14 +104,14 @@ def _by_regression(record: JointRecord, gain: float) -> _Weight | None:
 
 
 def _explains(first: _Fitted, other: _Fitted, model: Model) -> bool:
-    """Whether zeros of their own are what two recordings lack: one model of both, with one zero,
-    leaves twice as much. Else something is missing that only looks like another zero.
+    """Whether zeros of their own are what two recordings lack: they leave a tenth of what one zero
+    for both leaves. Else something is missing that only looks like another zero.
     """
     both = replace(first[0].data, records=(*first[0].data.records, *other[0].data.records))
     common, _ = _by_fit(both, model, first[1])
     left = [float(one.fit.residual @ one.fit.residual) for one, _ in (first, other)]
     with_one = [residual(one.data, common.model, (1,)) for one, _ in (first, other)]
-    return sum(left) < (1.0 - PREDICTED) * sum(float(r @ r) for r in with_one)
+    return sum(left) < LEFT_BY_OWN * sum(float(r @ r) for r in with_one)
 
 
 def _by_fit(data: Data, model: Model, rough: _Weight) -> _Fitted:
