@@ -102,12 +102,22 @@ def pendulum(tmp_path: Path) -> tuple[Callable[..., Path], Path]:
     return write, reality.model_file(tmp_path / "m.toml", FAST, *KNOWN, gravity=WEIGHT)
 
 
-@pytest.mark.parametrize("zero", [0.4, -0.9, math.pi])
+@pytest.mark.parametrize(
+    ("zero", "unbalance"), [(0.4, False), (-0.9, False), (math.pi, False), (0.4, True)]
+)
 def test_recordings_whose_zeros_differ_are_refused_with_what_to_add(
-    zero: float, pendulum: tuple[Callable[..., Path], Path], refuse: Callable[..., str]
+    zero: float,
+    unbalance: bool,
+    pendulum: tuple[Callable[..., Path], Path],
+    refuse: Callable[..., str],
 ) -> None:
-    """They had been unexplained, a third of the torque "most like hysteresis"."""
+    """They had been unexplained, a third of the torque "most like hysteresis". ``unbalance``: the
+    model has a gravity with an angle of its own, too.
+    """
     write, model = pendulum
+    if unbalance:
+        known = reality.effect("gravity", torque=0.01, angle=0.5)
+        model.write_text(model.read_text().replace("[actuator]", known + "[actuator]"))
     text = refuse(write(1, 0.0), write(2, zero), "--model", model)
     added = float(text.partition("Add ")[2].partition(" to the column")[0])
     assert "run2.csv: by gravity" in text

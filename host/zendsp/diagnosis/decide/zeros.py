@@ -19,8 +19,8 @@ from zendsp.physics.model import Model, Quantity, Term, per_joint
 
 ZERO_SURE = 6.0  # standard errors of the difference of two zeros: chosen, not measured
 ROUGHLY = 2.0  # standard errors by a regression, from which the zeros are estimated by fits
-SAME_WEIGHT = 0.05  # of the weight, which is the same in both recordings
-OTHER_ZERO = 8.0  # of the sensor: a smaller difference of two zeros is none
+SAME_WEIGHT = 0.05  # of the weight: the largest difference of two recordings: chosen, not measured
+OTHER_ZERO = 8.0  # counts of the sensor: a smaller difference of two zeros is none
 # of the energy that one zero for both leaves: another of 0.7 rad left 2e-5 of it, of 0.05 rad 0.003
 LEFT_BY_OWN = 0.1
 
@@ -65,10 +65,10 @@ def check_zeros(data: Data, model: Model) -> None:
         return
     each = [_by_fit(replace(data, records=tuple(of[w.recording])), model, w) for w in rough]
     first = min(each, key=lambda one: abs(one[1].hangs))
-    right = first[1]
+    _, right = first
     least = OTHER_ZERO * max(record.measurement.resolution for (record,) in data.records)
     for one in each:
-        w = one[1]
+        _, w = one
         away = w.apart(right, ZERO_SURE)
         alike = abs(w.torque - right.torque) < SAME_WEIGHT * right.torque
         if abs(away) > least and alike and _explains(first, one, model):
@@ -115,11 +115,14 @@ def _explains(first: _Fitted, other: _Fitted, model: Model) -> bool:
 
 
 def _by_fit(data: Data, model: Model, rough: _Weight) -> _Fitted:
-    """The model fitted with a weight that may hang at any angle, and that."""
+    """The model fitted with a weight that may hang at any angle, in place of all that it has, and
+    that weight.
+    """
     numbers = {"torque": Quantity(abs(rough.torque)), "angle": Quantity(rough.hangs)}
     weight = Term("gravity", 1, numbers)
     mechanism = {**model.mechanism, "gravity": (Quantity(0.0, free=False),)}
-    turned = replace(model, mechanism=mechanism, terms=(*model.terms, weight))
+    others = (t for t in model.terms if t.effect != weight.effect)
+    turned = replace(model, mechanism=mechanism, terms=(*others, weight))
     scored = calibrate_joint(data, turned, 1)
     found, fit = scored.model.terms[-1], scored.fit
     at = next(i for i, h in enumerate(fit.handles) if h.key == "angle")
