@@ -40,6 +40,7 @@ SMOOTHER = 0.8
 LINES_MISS = 20.0
 UNSEEN = 0.05  # of the time between rows: less is rounding of stamps
 UNITS = 0.02  # tolerance of a factor between units
+IN_COUNTS = 2.0  # times the stated step: whole numbers with a larger one are counts of the sensor
 # steps in counts that show a lattice: smaller ones are rounding, larger ones exceed the printed
 # digits
 LATTICE = (0.02, 300)
@@ -221,7 +222,7 @@ def resolution_of(
     if stated <= 0:
         return found
     where = f"{name}: position {column_name(columns['position'], joint)!r}"
-    if found > 2.0 * stated and np.array_equal(y, np.round(y)):  # no joint is read in whole rad
+    if found > IN_COUNTS * stated and np.array_equal(y, np.round(y)):  # none is read in whole rad
         if model.sensor.matrix:
             return found  # ``stated`` is rad (m) a count, behind the matrix
         raise RecordingError(

@@ -32,7 +32,7 @@ TIMED = 0.5  # of a difference in RMS: less remains of one in time alone; decide
 # a reading that stays while the joint moves on, or is none: its end is a larger step between the
 # two sensors than so many usual ones (their 98th percentile), and takes back most of what had come
 # between them; a load that is jerked goes on. A sensor that loses more of its rows is not used
-DROPPED, USUAL, BACK, LOST = 8.0, 0.98, 0.5, 0.01
+DROPPED, USUAL, TAKEN_BACK, LOST = 8.0, 0.98, 0.5, 0.01
 AVERAGED = 0.02  # s, of the mean that removes noise and sampling from a comparison
 
 
@@ -190,7 +190,7 @@ def _dropped(x: Array, q: Array) -> npt.NDArray[np.bool_]:
     out = np.zeros(len(x), bool)
     for first, end in zip(np.r_[0, new], np.r_[new, len(x)], strict=True):
         if first > 0 and end < len(x) and far[end] and (far[first] or end - first > 1):
-            out[first:end] = abs(apart[end] - apart[first - 1]) < BACK * step[end - 1]
+            out[first:end] = abs(apart[end] - apart[first - 1]) < TAKEN_BACK * step[end - 1]
     return out
 
 
