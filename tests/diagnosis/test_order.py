@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,9 +13,11 @@ from acceptance import accepted
 from small_arms import Arm
 
 from zendsp.diagnosis.data.checks import check_motion
+from zendsp.diagnosis.data.order import check_order
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.errors import RecordingError
+from zendsp.physics.files.model_file import parse_model
 
 Columns = dict[str, np.ndarray]
 
@@ -50,6 +53,15 @@ def motor_side(c: Columns) -> Columns:
     return {**c, "u": c["u"] / 100.0}
 
 
+def from_the_base(c: Columns) -> Columns:
+    return {**c, "q": c["q"] + np.stack([0.0 * c["t"], 0.0 * c["t"], c["q"][:, 1]], axis=1)}
+
+
+def through_a_parallelogram(c: Columns) -> Columns:
+    none = 0.0 * c["t"]
+    return {**from_the_base(c), "u": c["u"] - np.stack([none, c["u"][:, 2], none], axis=1)}
+
+
 MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "by the alphabet": (
         lambda c: exchanged(c, "q", "u"), "the columns of joints 2 and 3 are exchanged",
@@ -59,6 +71,12 @@ MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "another direction": (reversed_, "joint 2 counts the other way"),
     "another zero": (turned, r"joint 2 lies elsewhere (\[sensor\] offset = -1.571)"),
     "gravity compensated": (without_gravity, "the command is without gravity"),
+    "angles of links": (from_the_base, "joint 3 counts from the base, not from joint 2 ([sensor]"),
+    "a parallelogram": (
+        through_a_parallelogram,
+        "driven through a parallelogram ([sensor] matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0],"
+        " [0.0, -1.0, 1.0]], [actuator] matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0],",
+    ),
     "torque of the motors": (motor_side, "actuator's gain by about 0.0"),
 }
 
@@ -81,3 +99,55 @@ def test_columns_that_are_not_the_models_joints_are_refused_with_what_is_wrong(
 def test_wrong_bodies_are_no_matter_of_the_columns(arm: Arm, tmp_path: Path) -> None:
     _, paths = small_arms.recorded(tmp_path, "arm", arm)
     accepted(paths[0], tmp_path / "model.toml")
+
+
+def two_links() -> Columns:
+    """A plane arm with p1, p2, p3 = 0.4, 0.09, 0.075 kg m² along a multisine, with dry friction."""
+    t = np.arange(0.0, 8.0, 0.002)
+    f, phase = np.array([[0.3, 0.7, 1.1], [0.4, 0.9, 1.3]]), np.array([[0, 1, 2], [2, 0, 1]])
+    w = 2 * np.pi * f[:, :, None]
+    turn = w * t + phase[:, :, None]
+    q, v = 0.3 * np.sin(turn).sum(1), 0.3 * (w * np.cos(turn)).sum(1)
+    a = -0.3 * (w**2 * np.sin(turn)).sum(1)
+    c, s = 0.075 * np.cos(q[1]), 0.075 * np.sin(q[1])
+    u1 = (0.4 + 2 * c) * a[0] + (0.09 + c) * a[1] - s * (2 * v[0] + v[1]) * v[1]
+    u2 = (0.09 + c) * a[0] + 0.09 * a[1] + s * v[0] ** 2
+    u = np.stack([u1, u2]) + np.array([[0.25], [0.12]]) * np.tanh(v / 0.01)
+    return {"t": t, "q": q.T, "u": u.T}
+
+
+LINK_ANGLES = "joint 2 counts from the base, not from joint 1"
+MIRRORED = (
+    "joint 1 counts the other way than in the model (position and command), or joint 2 counts the"
+    " other way"
+)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        ([[1, 0], [0, 1]], ""), ([[1, 0], [1, 1]], LINK_ANGLES), ([[0, 1], [1, 0]], "exchanged"),
+        ([[1, 0], [0, -1]], MIRRORED),
+    ],
+)  # fmt: skip
+def test_the_columns_of_a_plane_arm_are_checked_too(
+    matrix: list[list[int]], words: str, tmp_path: Path
+) -> None:
+    c, change = two_links(), np.array(matrix)
+    moved = change if words != LINK_ANGLES else np.eye(2)
+    path = tmp_path / "run.npz"
+    np.savez(path, t=c["t"], q=c["q"] @ change.T, u=c["u"] @ moved.T)
+    model = parse_model({
+        "name": "arm", "sample_time": 0.002,
+        "mechanism": {"kind": "planar2r", "parameters": {
+            "p1": {"value": 0.42}, "p2": {"value": 0.085}, "p3": {"value": 0.07},
+        }},
+        "sensor": {"position_resolution": 1e-4},
+        "columns": {"time": "t", "position": "q", "command": "u"},
+    })  # fmt: skip
+    data = prepare([read_signals(path, model)], model, 64.0)
+    if not words:
+        check_order("run", data.records[0], model)
+        return
+    with pytest.raises(RecordingError, match=re.escape(words)):
+        check_order("run", data.records[0], model)

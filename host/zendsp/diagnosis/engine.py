@@ -37,11 +37,13 @@ from zendsp.diagnosis.decide.result import (
     Detectable,
     Diagnosis,
     Errors,
+    Estimate,
     Finding,
     FitTable,
     Left,
     Next,
     Workings,
+    number,
 )
 from zendsp.diagnosis.decide.thresholds import FINEST
 from zendsp.diagnosis.decide.zeros import check_zeros
@@ -52,6 +54,7 @@ from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
+from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
 from zendsp.diagnosis.transmission.torque_sensor import sided
@@ -151,7 +154,13 @@ def _diagnose(
     begin = time.perf_counter()
     given = kernel_model(given_file)
     signals, parts, notes = _ready(*sources, given, tell)
-    found, stopped = _found(signals, parts, given, jobs, tell, so_far)
+    try:
+        found, stopped = _found(signals, parts, given, jobs, tell, so_far)
+    except OtherZero as other:
+        homed, sentence = _homed(sources, given_file, other, jobs, tell)
+        d = _diagnose(sources, homed, seed, jobs, tell, so_far)
+        seconds = time.perf_counter() - begin
+        return replace(d, zeros=(sentence, *d.zeros), seconds=seconds)
     found, clocks = _by_one_clock(found)
     found, findings, refinements, rejected = _name(found, given)
     parts, decisions, whole = found.parts, found.decisions, found.whole
@@ -207,6 +216,30 @@ def _diagnose(
         workings=Workings(found.searches, decisions, whole, shown_on, parts.test),
         stopped=bool(stopped),
         doubted=_doubted(findings, decisions),
+    )
+
+
+def _homed(
+    sources: tuple[list[Source], list[Source]],
+    given: Model,
+    other: OtherZero,
+    jobs: int,
+    tell: Progress,
+) -> tuple[Model, str]:
+    """The given model with other zeros of joints, and a sentence about them."""
+
+    def recorded_with(model: Model) -> Data:
+        return _ready(*sources, kernel_model(model), tell)[1].fit
+
+    homed, angles = with_zero(given, other, recorded_with, jobs)
+    said = (
+        f"joint {joint} is {number(Estimate(angle, std, 'rad'))} farther along than recorded"
+        for joint, (angle, std) in angles.items()
+    )
+    offsets = ", ".join(f"{x:.5g}" for x in homed.sensor.offset)
+    return homed, (
+        f"Another zero than the model's: {', '.join(said)}. All here is with [sensor] offset ="
+        f" [{offsets}]."
     )
 
 

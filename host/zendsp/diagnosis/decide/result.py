@@ -311,6 +311,7 @@ class Diagnosis:
     stopped: bool = False  # Ctrl-C ended the search; this is what was found until then
     # effects and joints about which the headline cannot tell
     doubted: tuple[tuple[str, int], ...] = ()
+    zeros: tuple[str, ...] = ()  # a sentence for each joint that has another zero than given
 
     @property
     def errors(self) -> tuple[Errors, ...]:
@@ -346,6 +347,7 @@ class Diagnosis:
         if self.verdict == Verdict.COMPLETE and not unseen and off:
             times = two_digits(table.given / table.calibrated)
             text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
+        text = " ".join((*self.zeros, text))
         return f"So far, ended by Ctrl-C: {text}" if self.stopped else text
 
     def report(self) -> Report:

@@ -30,6 +30,7 @@ from zendsp.diagnosis.search.body_hypotheses import (
 )
 from zendsp.diagnosis.search.body_numbers import refined, stated, unsure, weight_of
 from zendsp.diagnosis.search.body_solver import Solver
+from zendsp.diagnosis.search.joint_zeros import check_zero
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
@@ -122,6 +123,11 @@ def find_bodies(
     -------
     BodySearch
         Proposals. Whether they are claimed is decided on recordings not used here.
+
+    Raises
+    ------
+    OtherZero
+        A joint counts from another zero.
     """
     links = fit.records[0][0].links
     # at a single joint a payload is an inertia and a gravity
@@ -206,7 +212,12 @@ def _searched(
         to_choose = Sums(choose, model, limits, jobs)
         tell(Step.CALIBRATING.says("bodies: every hypothesis"))
         tried, aside, first = _round(to_fit, to_choose, layout, limits)
+        if turns := {e.hypothesis.joint: float(e.values[0]) for e in tried if _is_zero(e, limits)}:
+            # as large as they are: the torque of another zero is no straight line
+            to_fit, to_choose = (Sums(x, model, limits, jobs, turns) for x in (fit, choose))
+            tried, aside, first = _round(to_fit, to_choose, layout, limits)
         best = tried[0]
+        check_zero(choose, model, best, limits)
         seen_first = seen_first or any(_at_several(e, limits) for e in first)
         own = next((e for e in first if _is_body(e, first[0], limits)), None)
         if not found and own is not None:
@@ -310,6 +321,11 @@ def _is_body(one: Explained, best: Explained, limits: BodyLimits) -> bool:
     return h.effect in ("body", "payload") and seen(one, limits) and tied(one, best, limits)
 
 
+def _is_zero(one: Explained, limits: BodyLimits) -> bool:
+    """Whether another zero of one joint explains something."""
+    return one.hypothesis.effect == "zero" and one.hypothesis.joint > 0 and seen(one, limits)
+
+
 def _at_several(one: Explained, limits: BodyLimits) -> bool:
     """Whether an explanation is a body that explains what several joints leave."""
     joints = int(np.sum(one.share > limits.part))
@@ -336,7 +352,8 @@ def _round(
         left = [h for h in everything if h.of_bodies or h.joint not in aside]
         tried = explain(solver, left, rigid)
         best = tried[0]
-        if best.hypothesis.of_bodies or not best.hypothesis.joint or not seen(best, limits):
+        own = best.hypothesis.joint and best.hypothesis.effect != "zero"
+        if best.hypothesis.of_bodies or not own or not seen(best, limits):
             return tried, frozenset(aside), first
         if not aside and any(e.hypothesis.of_bodies and seen(e, limits) for e in tried):
             first = tried

@@ -4,10 +4,12 @@ and block, and the columns of each hypothesis.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +20,7 @@ from zendsp.diagnosis.search.body_hypotheses import (
     BodyLimits,
     Hypothesis,
     calibrated,
+    turned_joints,
 )
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
@@ -40,11 +43,17 @@ LOST = 1e6
 
 class Sums:
     """Gram matrices of all columns and the innovations, per joint and block; the innovations are
-    the last column.
+    the last column. ``turns``: for joints (from 1) roughly where another zero lies, rad; its torque
+    is no straight line.
     """
 
     def __init__(
-        self, data: Data, model: Model, limits: BodyLimits = LIMITS, jobs: int = 1
+        self,
+        data: Data,
+        model: Model,
+        limits: BodyLimits = LIMITS,
+        jobs: int = 1,
+        turns: Mapping[int, float] = MappingProxyType({}),
     ) -> None:
         seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
         block = min(limits.block, seconds / limits.blocks)
@@ -54,7 +63,7 @@ class Sums:
         counts: list[Array] = []
         for rec in data.records:
             starts = np.arange(0, rec[0].n, max(10, round(block / rec[0].sample_time)))
-            work = partial(_grams, model=model, starts=starts, limits=limits)
+            work = partial(_grams, model=model, starts=starts, limits=limits, turns=turns)
             with threads(jobs) as each:
                 done = list(each(work, rec))
             grams.append(np.stack([g for g, _ in done]))
@@ -86,10 +95,14 @@ class Sums:
 
 
 def _grams(
-    record: JointRecord, model: Model, starts: npt.NDArray[np.int_], limits: BodyLimits
+    record: JointRecord,
+    model: Model,
+    starts: npt.NDArray[np.int_],
+    limits: BodyLimits,
+    turns: Mapping[int, float],
 ) -> tuple[Array, Array]:
     """Gram matrices (blocks, columns, columns) and numbers of samples (blocks,) of one joint."""
-    columns, moving = _columns(record, model, limits)
+    columns, moving = _columns(record, model, limits, turns)
     columns = np.ascontiguousarray(columns[:, moving].T)
     edges = np.searchsorted(np.flatnonzero(moving), [*starts, record.n])
     parts = [columns[a:b] for a, b in pairwise(edges)]
@@ -97,7 +110,7 @@ def _grams(
 
 
 def _columns(
-    record: JointRecord, model: Model, limits: BodyLimits
+    record: JointRecord, model: Model, limits: BodyLimits, turns: Mapping[int, float]
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Responses of all columns and the innovations, (columns + 1, n), and the samples at which the
     joint moves.
@@ -110,7 +123,7 @@ def _columns(
     slow = limits.still * speed
     gain = per_joint(model.actuator.gain, record.joint, 1.0)
     own = [np.ones(record.n), *_frictions(record, model, slow, limits.by_load), qdd]
-    torques = [*own, *_shared(links, j, model, record), -gain * record.command]
+    torques = [*own, *_shared(links, j, model, record, turns), -gain * record.command]
     torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
     damping = damping_along(record, model)
     inertia = effective_inertia(record, model)
@@ -150,9 +163,11 @@ def fastest_of(record: JointRecord) -> float:
     return 0.5 / record.sample_time
 
 
-def _shared(links: Links, joint: int, model: Model, record: JointRecord) -> list[Array]:
+def _shared(
+    links: Links, joint: int, model: Model, record: JointRecord, turns: Mapping[int, float]
+) -> list[Array]:
     """Columns that all joints share: ten numbers of each link, tilt about x and y, gravity's size,
-    mechanism parameters.
+    the joints' zeros, mechanism parameters.
     """
     n = record.n
     out: list[Array] = []
@@ -163,6 +178,7 @@ def _shared(links: Links, joint: int, model: Model, record: JointRecord) -> list
         tilt = Term("base_tilt", 1, {key: Quantity(1e-6)})
         out.append((turned_gravity(links.gravity, [tilt]) - links.gravity) / 1e-6 @ weight)
     out.append(links.gravity @ weight)
+    out += list(links.zeros(turns, body_terms(model))[joint])
     qdd = record.others[joint, 2]
     for key in calibrated(model):
         basis = record.basis.get(key)
@@ -183,7 +199,8 @@ class Layout:
         self.joints = len(links.bodies)
         self.tilt = NUISANCE + 10 * self.joints
         self.scale = self.tilt + 2
-        self.mechanism = self.scale + 1
+        self.zero = self.scale + 1
+        self.mechanism = self.zero + self.joints
         self.own = self.mechanism + len(self.keys)
         self.width = self.own + OWN_COLUMNS
 
@@ -217,6 +234,8 @@ class Layout:
             x[:, [self.tilt + ("angle_x", "angle_y").index(key) for key in h.free]] = values
         elif h.effect == "gravity_scale":
             x[:, self.scale] = values[0]
+        elif h.effect == "zero":
+            x[:, [self.zero + joint - 1 for joint in turned_joints(h)]] = values
         elif h.effect == "calibration":
             x[:, self.mechanism : self.own] = values
         elif h.effect == "torque_gain":

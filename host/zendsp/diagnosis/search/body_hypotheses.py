@@ -80,6 +80,7 @@ COST = {
     "gravity": 3.0,
     "stiffness": 3.0,
     "unknown": 8.0,
+    "zero": 7.0,  # a body that predicts as well is said, and that it may be this
 }
 TOOL = 2.0  # of a payload at the end of a chain
 # of causes that act on the whole machine: another gravity, one factor for all gains, and the
@@ -95,8 +96,8 @@ class Hypothesis:
     ----------
     effect : str
         Name in the library, or ``gravity_scale`` (g times a factor), ``calibration`` (the
-        mechanism's own free parameters), ``nothing``; ``unknown`` is any torque of one joint's own
-        position and command.
+        mechanism's own free parameters), ``zero`` (of a joint's sensor), ``nothing``;
+        ``unknown`` is any torque of one joint's own position and command.
     joint : int
         1-based; the last joint that moves the body. 0: all joints.
     body : str
@@ -123,9 +124,18 @@ class Hypothesis:
             return (
                 f"torque_gain of joint {self.joint}" if self.joint else "torque_gain of all joints"
             )
+        if self.effect == "zero":
+            return f"another zero of joint {self.joint}" if self.joint else "other zeros"
         return self.effect + (
             f" of {self.body}" if self.body else f" of joint {self.joint}" if self.joint else ""
         )
+
+
+def turned_joints(h: Hypothesis) -> list[int]:
+    """The joints (from 1) of which a hypothesis ``zero`` moves the zero, in the order of its
+    numbers.
+    """
+    return [int(key.removeprefix("angle")) for key in h.free]
 
 
 def calibrated(model: Model) -> tuple[str, ...]:
@@ -193,6 +203,11 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     if keys := calibrated(model):
         out.append(Hypothesis("calibration", free=keys, cost=RARE))
     out.append(Hypothesis("torque_gain", free=("ratio",), cost=RARE))
+    turns = [(k + 1, f"angle{k + 1}") for k in links.turning]
+    out += [Hypothesis("zero", joint, "", (key,), COST["zero"]) for joint, key in turns]
+    if len(turns) > 1:
+        cost = COST["zero"] + len(turns)
+        out.append(Hypothesis("zero", free=tuple(key for _, key in turns), cost=cost))
     for j in range(1, len(links.bodies) + 1):
         for effect, free in (
             ("torque_gain", ("ratio",)),

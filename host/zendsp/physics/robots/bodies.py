@@ -13,7 +13,7 @@ or gravity.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,12 +24,13 @@ from zendsp.errors import ModelError
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import TREES, Model, Term, per_joint
 from zendsp.physics.robots.robot import robot_tree
-from zendsp.tree import GRAVITY, Body, LinkMotion, about, link_motion
+from zendsp.tree import GRAVITY, Body, LinkMotion, about, inverse_dynamics, link_motion
 
 Array = npt.NDArray[np.float64]
 
 NUMBERS = ("mass", "h_x", "h_y", "h_z", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+STEP = 1e-4  # rad: of a derivative
 _ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # turns z to the base's x
 
 
@@ -163,6 +164,10 @@ class Links:
         return {}
 
     @cached_property
+    def _zeros(self) -> dict[tuple[object, ...], Array]:
+        return {}
+
+    @cached_property
     def _weights(self) -> dict[int, Array]:
         return {}
 
@@ -246,6 +251,32 @@ class Links:
                 numbers = change_of(term, self.bodies[term.joint - 1])[:4]
                 weight = weight + np.tensordot(numbers, self.pull(joint, term.joint - 1), (0, 1))
         return weight
+
+    def zeros(self, at: Mapping[int, float], terms: Sequence[Term]) -> Array:
+        """Torque at each joint for a zero of each that lies elsewhere, N m or N per rad,
+        (joints, joints, n). ``at``: for joints (from 1) where, rad; else next to the given one.
+        """
+        values = [(t.effect, t.joint, *((k, t.value(k)) for k in t.parameters)) for t in terms]
+        key = (tuple(at.items()), tuple(values))
+        if key not in self._zeros:
+            q, qd, qdd = (np.ascontiguousarray(self.motion[:, i].T) for i in range(3))
+            bodies, gravity = changed(self.bodies, terms), turned_gravity(self.gravity, terms)
+            here = inverse_dynamics(bodies, gravity, q, qd, qdd)
+            out = np.zeros((q.shape[1], q.shape[1], len(q)))
+            for k in self.turning:
+                there = q.copy()
+                there[:, k] += at.get(k + 1, STEP)
+                torque = inverse_dynamics(bodies, gravity, there, qd, qdd)
+                out[:, k] = (torque - here).T / at.get(k + 1, STEP)
+            self._zeros[key] = out
+        return self._zeros[key]
+
+    @property
+    def turning(self) -> list[int]:
+        """The joints (from 0) that turn, of a robot of which the links have masses."""
+        if not any(b.mass > 0 for b in self.bodies):
+            return []
+        return [k for k, b in enumerate(self.bodies) if not b.slides]
 
     def change(self, terms: Sequence[Term], joint: int) -> Change:
         """The change of a joint by body terms; ``bias`` is their torque without the part of the

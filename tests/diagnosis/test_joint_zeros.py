@@ -1,0 +1,70 @@
+"""A joint that is not where its sensor says is told from wrong bodies; Pinocchio is the reality."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_arms
+from small_arms import Arm, recorded, searched, simulate
+
+import zendsp
+from zendsp.diagnosis.search.joint_zeros import OtherZero
+from zendsp.physics.files.model_file import load_model
+from zendsp.physics.model import Model
+
+
+def homed_elsewhere(folder: Path, *by: float) -> tuple[Model, list[Path]]:
+    """Recordings in which joints count ``by`` rad more than they stand at."""
+    made = recorded(folder, "zero", Arm(), friction=True)
+    for seed, path in enumerate(made[1], 1):
+        columns = simulate(Arm(), seed)
+        columns["q"] += by
+        np.savez(path, **columns)
+    return made
+
+
+@pytest.mark.parametrize("by", [0.05, -0.3])
+def test_a_joint_homed_elsewhere_is_told_from_every_body(by: float, tmp_path: Path) -> None:
+    with pytest.raises(OtherZero) as told:
+        searched(homed_elsewhere(tmp_path, 0.0, by, 0.0))
+    assert told.value.angles == {2: pytest.approx(-by, rel=0.1)}
+
+
+@pytest.mark.parametrize(
+    "arm", [Arm(), Arm(mass=1.5), Arm(heavier=0.5), Arm(shifted=0.03), Arm(tilt=0.035)]
+)
+def test_a_wrong_body_is_no_joint_homed_elsewhere(arm: Arm, tmp_path: Path) -> None:
+    assert bool(searched(recorded(tmp_path, "arm", arm, friction=True)).found) == (arm != Arm())
+
+
+def test_the_last_links_centre_across_it_may_be_the_joints_zero(tmp_path: Path) -> None:
+    """Both turn the centre about the joint by as much."""
+    (found,) = searched(homed_elsewhere(tmp_path, 0.0, 0.0, 0.1)).found
+    assert (found.term.effect, found.body) == ("body", "fore")
+    assert "another zero of joint 3" in found.indistinguishable
+
+
+def test_a_diagnosis_is_made_with_the_zeros_that_the_recordings_have(tmp_path: Path) -> None:
+    homed_elsewhere(tmp_path, 0.0, 0.05, -0.08)
+    paths = [str(tmp_path / f"zero{k}.npz") for k in (1, 2)]
+    d = zendsp.diagnose(paths[0], model_with_friction(tmp_path), heldout=paths[1], jobs=1)
+    assert d.improved.sensor.offset == pytest.approx((0.0, -0.05, 0.08), abs=1e-3)
+    assert "Another zero than the model's: joint 2 is -0.05" in d.headline
+    assert not [f for f in d.findings if f.mechanism == "inertia"]
+
+
+def model_with_friction(folder: Path) -> Path:
+    path = folder / "model.toml"
+    effects = "".join(
+        f"[[effect]]\nkind = {kind!r}\njoint = {j + 1}\n{key} = {value}\n"
+        for kind, key, values in (
+            ("coulomb", "level", small_arms.FRICTION),
+            ("viscous", "coefficient", small_arms.DAMPING),
+        )
+        for j, value in enumerate(values)
+    )
+    path.write_text(path.read_text() + effects)
+    assert load_model(path).joints == 3
+    return path
