@@ -35,8 +35,8 @@ from zendsp.physics.effects.column_shift import least_shift
 from zendsp.physics.effects.creep import ROUND, STRAIGHT
 from zendsp.physics.model import Model, Quantity, Term
 
-# start values of a creeping friction: of the fast speed, and s. Of 15 recordings, speeds 0.003 to 0.1
-# and leads 0 to 10 ms all ended at the same numbers
+# start values of a creeping friction: of the fast speed, and s. Of 16 recordings, 0.003 to 0.1 and
+# 0 to 10 ms ended at the same numbers
 CREEP, LEAD = 0.03, 5e-3
 RUNNERS = 4  # hypotheses per round that are tested on the recordings to choose by
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
@@ -168,8 +168,12 @@ class Searcher:
         return best if pays and 0.0 < terms[0].value("time") < most else None
 
     def creeping(self, base: Scored, *known: Term) -> Scored:
-        """A model with creeping dry friction, the likelier of a round and a straight one. ``known``:
-        a creep to start from; others are tried only where it makes the model no likelier.
+        """A model with creeping dry friction, the likelier of a round and a straight one.
+
+        Parameters
+        ----------
+        known : Term
+            A creep to start from; others are tried only where it makes the model no likelier.
         """
         fast = max(rec[self.joint - 1].scale.speed for rec in self.rounds.data.records)
         starts = (
