@@ -186,14 +186,13 @@ INLINE void OF(creep_straight)(const OF(task) *O, const OF(motion) *X, const OF(
                                const OF(lane) *vfree, OF(lane) *vn)
 {
     EACH {
-        const double most = O->h * (*level)[l] * X->per_jm[l], slow = O->N->creep[l],
+        const double most = O->h * (*level)[l] * X->per_jm[l],
                      lead = O->N->creep_lead[l] * O->per_h;
-        const _Bool on = slow > 0;
-        const double c = most / (on ? slow : 1.0), g = 1 + c * lead, below = 2 * g + c,
+        const double c = most / O->N->creep[l], g = 1 + c * lead, below = 2 * g + c,
                      ahead = lead * below + g + c, /* over below: steps */
                      seen = X->qd[l] * below + ahead * ((*vfree)[l] - X->qd[l]),
                      rub = clip(c * seen / (below + c * ahead), most);
-        (*vn)[l] = on ? (*vfree)[l] - rub : (*vn)[l];
+        (*vn)[l] = (*vfree)[l] - rub;
     }
 }
 
@@ -207,8 +206,7 @@ INLINE void OF(creep_round)(const OF(task) *O, const OF(motion) *X, const OF(lan
     EACH {
         const double most = O->h * (*level)[l] * X->per_jm[l], slow = O->N->creep[l],
                      v = X->qd[l];
-        const _Bool on = slow > 0;
-        const double per = 1.0 / (on ? slow : 1.0), c = most * per, at = 1 + c, below = 2 + c,
+        const double per = 1.0 / slow, c = most * per, at = 1 + c, below = 2 + c,
                      part = 1 / (at * below), ahead = at * at * part, a = c * ahead,
                      seen = (v + ahead * ((*vfree)[l] - v)) * per, f = fabs(seen),
                      first = f / (1 + 0.887 * a), next = (f - 0.532 * a) / (1 + 0.2366 * a),
@@ -217,7 +215,7 @@ INLINE void OF(creep_round)(const OF(task) *O, const OF(motion) *X, const OF(lan
         u = u > last ? u : last;
         const double e = exp(u < 20 ? 2 * u : 40), sum = e + 1;
         u -= ((u - f) * sum * sum + a * (e - 1) * sum) / (sum * sum + 4 * a * e);
-        (*vn)[l] = on ? v + (copysign(u * slow, seen) - v) * below * below * part : (*vn)[l];
+        (*vn)[l] = v + (copysign(u * slow, seen) - v) * below * below * part;
     }
 }
 
@@ -254,7 +252,8 @@ INLINE void OF(bristle)(const OF(task) *O, OF(motion) *X, const OF(lane) *level,
 INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const OF(lane) *scale)
 {
     const double h = O->h;
-    const _Bool soft = O->hidden && (O->N->creeps || O->N->bristled); /* of each lane or of none */
+    const _Bool creeps = O->hidden && O->N->creeps, /* each lane or none */
+                soft = creeps || (O->hidden && O->N->bristled);
     OF(lane) free, vfree, along, level, vn, way;
     EACH free[l] = X->push[l] - (*f)[l];
     if (O->hidden && O->N->bent) OF(remember)(O, X, &free);
@@ -263,18 +262,16 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
         along[l] = copysign(O->S->qd[l], vfree[l]); /* the speed at the step's middle */
     }
     OF(dry)(O->M, O->N, O->S, &along, scale, &level);
-    EACH {
-        level[l] = level[l] > 0 ? level[l] : 0.0;
+    EACH level[l] = level[l] > 0 ? level[l] : 0.0;
+    if (creeps && O->N->straight) OF(creep_straight)(O, X, &level, &vfree, &vn);
+    else if (creeps) OF(creep_round)(O, X, &level, &vfree, &vn);
+    else EACH {
         const double a = free[l] * X->per_jm[l], b = level[l] * X->per_jm[l], v = X->qd[l];
         const double to = v + h * (a - b * sgn(v)); /* where it would get without a stand */
         const _Bool turns = !soft & (v * to <= 0);
         const double stood = turns & (v != 0) ? h * v / (v - to) : 0.0, left = h - stood;
         vn[l] = turns ? left * OF(soft)(a, b) : OF(soft)(vfree[l], h * b);
         way[l] = turns ? 0.5 * (stood * v + left * vn[l]) : 0.5 * h * (v + vn[l]);
-    }
-    if (O->hidden && O->N->creeps) {
-        if (O->N->straight) OF(creep_straight)(O, X, &level, &vfree, &vn);
-        else OF(creep_round)(O, X, &level, &vfree, &vn);
     }
     if (soft) EACH way[l] = 0.5 * h * (X->qd[l] + vn[l]);
     if (O->hidden && O->N->bristled) OF(bristle)(O, X, &level, &vfree, &vn, &way);
