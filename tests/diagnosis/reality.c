@@ -59,7 +59,7 @@ static void step(const numbers *m, state *s, double torque, double outside, doub
         s->bend += h * flow;
         level = 0.0;
     }
-    if (m->lead != 0.0) { /* as MuJoCo's frictionloss: of the speed to come, straight to its level */
+    if (m->lead != 0.0) { /* as MuJoCo's: of the speed to come, straight to its level */
         const double grip = level / m->creep, ahead = (m->lead + h) / inertia;
         torque -= fmax(-level, fmin(level, grip * (v + ahead * torque) / (1 + grip * ahead)));
         level = 0.0;

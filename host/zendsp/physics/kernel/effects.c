@@ -15,8 +15,8 @@ typedef struct {
     double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES];
     double creep[LANES], creep_lead[LANES], damp[LANES], dry_load[LANES];
     int bw_whole, whole[MAXFX][MAXP]; /* of a number in all lanes: 1 or 2 where it is that */
-    int two_mass, lag_on, gapped, bristled, bent, creeps, straight, pulled, hung, late, drives, senses,
-        wavy, filtered, hidden, loaded; /* whether any lane has it */
+    int two_mass, lag_on, gapped, bristled, bent, creeps, straight, pulled, hung, late, drives,
+        senses, wavy, filtered, hidden, loaded; /* whether any lane has it */
     int at[PLACES][MAXFX], count[PLACES]; /* the effects of each place, by their rows */
 } OF(numbers);
 
@@ -88,8 +88,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->w_order[l] = w_order;
         N->w_phase[l] = w_phase;
         N->filter[l] = filter;
-        N->creep[l] = creep;
-        N->creep_lead[l] = creep_lead;
+        N->creep[l] = creep; N->creep_lead[l] = creep_lead;
         N->damp[l] = damp;
         N->dry_load[l] = dry_load;
         N->wavy |= w_amp != 0;
@@ -104,8 +103,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->gapped |= gap > 0;
         N->bristled |= s0 > 0;
         N->bent |= bw_force > 0;
-        N->creeps |= creep > 0;
-        N->straight |= straight;
+        N->creeps |= creep > 0; N->straight |= straight;
         N->pulled |= M[l].gravity != 0; N->late |= delay != 0;
     }
 }

@@ -34,8 +34,8 @@ static void eliminate(int n, const double *A, const double *b, const int8_t *stu
         v[at[i]] = r[i];
 }
 
-/* A v + λ = b, λ_i = up_i for v_i > 0, -down_i for v_i < 0, between them at rest; of a friction that
- * gives way λ_i = give_i v_i + from_i, between the same limits. v comes in as a guess. */
+/* A v + λ = b, λ_i = up_i for v_i > 0, -down_i for v_i < 0, between them at rest; of a friction
+ * that gives way λ_i = give_i v_i + from_i, between the same limits. v comes in as a guess. */
 static void solve(int n, const double *A, const double *b, const double *up, const double *down,
                   const double *give, const double *from, double *v) {
     if (n == 1) {

@@ -70,8 +70,8 @@ static void bias(const sim *S, const double *x, const double *v, const tree_pose
             out[i] = S->c.weight[i] != 0 ? S->c.weight[i] * sin(x[i]) : 0.0;
 }
 
-/* Friction's impulse over H, give v_next + from, where it grows with the speed at a time of the step
- * that is exact for one that falls exponentially, and with a lead ahead of it. */
+/* Friction's impulse over H, give v_next + from, where it grows with the speed ahead, and that of
+ * the step is taken so that one that falls exponentially is exact. */
 static void give_way(const sim_joint *j, double H, double mass, double level, double v,
                      double *give, double *from) {
     const double slope = level / j->creep;
@@ -87,8 +87,8 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
                   const double *xm, const double *v, const double *ve, double *out, int keep) {
     const int n = S->c.joints, N = S->dof;
     double A[SIM_DOF * SIM_DOF], b[SIM_DOF], up[SIM_DOF], down[SIM_DOF], g[SIM_MAX];
-    double give[SIM_DOF], from[SIM_DOF], E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX], y[SIM_MAX], yd[SIM_MAX], slope[SIM_MAX],
-        bend[SIM_MAX];
+    double give[SIM_DOF], from[SIM_DOF], E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX], y[SIM_MAX],
+        yd[SIM_MAX], slope[SIM_MAX], bend[SIM_MAX];
     if (S->uneven) {
         links(S, xm, y, slope, bend);
         for (int i = 0; i < n; i++)
