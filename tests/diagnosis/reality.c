@@ -59,6 +59,11 @@ static void step(const numbers *m, state *s, double torque, double outside, doub
         s->bend += h * flow;
         level = 0.0;
     }
+    if (m->lead != 0.0) { /* as MuJoCo's: of the speed to come, straight to its level */
+        const double grip = level / m->creep, ahead = (m->lead + h) / inertia;
+        torque -= fmax(-level, fmin(level, grip * (v + ahead * torque) / (1 + grip * ahead)));
+        level = 0.0;
+    }
     /* dry friction implicitly in its slope: stable at any step */
     const double way = tanh(v / m->creep), steep = level / m->creep * (1 - way * way);
     s->v += h * (torque - level * way) / (inertia - m->load + h * steep);

@@ -31,6 +31,7 @@ class Machine:
     viscous: float = 0.004
     coulomb: float = 0.03
     creep: float = 1e-3  # rad/s, about which dry friction changes its sign
+    lead: float = 0.0  # s by which it sees the speed ahead, in proportion to which it grows then
     # N m/rad, N m s/rad: the bristles through which dry friction acts, instead of ``creep``
     bristle: float = 0.0
     brush: float = 0.0

@@ -162,11 +162,16 @@ def test_complete_model_raises_no_alarm(
     assert d.verdict == "complete" and d.findings == () and d.regions == ()
 
 
-def test_a_known_friction_that_creeps_is_no_missing_physics_and_hides_none(run: Run) -> None:
-    soft = Case(reality.Machine(creep=0.03), [VISCOUS, COULOMB], {}, seconds=LONGER, rate=FAST)
+@pytest.mark.parametrize("lead", [0.0, 0.01])
+def test_a_known_friction_that_creeps_is_no_missing_physics_and_hides_none(
+    lead: float, run: Run
+) -> None:
+    machine = reality.Machine(creep=0.03, lead=lead)
+    soft = Case(machine, [VISCOUS, COULOMB], {}, seconds=LONGER, rate=FAST)
     complete = run(soft)
-    assert complete.verdict == "complete" and any("creeps" in note for note in complete.notes)
-    ripple = replace(soft, machine=reality.Machine(creep=0.03, ripple=0.006))
+    (note,) = [note for note in complete.notes if "creeps" in note]
+    assert complete.verdict == "complete" and ("10 ms before the joint does" in note) == (lead > 0)
+    ripple = replace(soft, machine=replace(machine, ripple=0.006))
     (found,) = run(ripple).findings
     assert found.effect == "ripple"
     assert found.parameters["amplitude"].value == pytest.approx(0.006, rel=0.05)

@@ -242,7 +242,7 @@ def test_findings_are_refitted_upon_a_creep_that_gains_little(
     monkeypatch.setattr(joints, "upon", lambda *given: begun.append(given) or upon)
     again: Any = SimpleNamespace(
         goes_on=lambda found: found is upon.final and goes_on,
-        creeping=lambda found, speed: both if (found, speed) == (first.final, 0.002) else None,
+        creeping=lambda *given: both if given == (first.final, soft.model.terms[-1]) else None,
     )
     found = joints._upon_creep(first, soft, again, 1)
     assert found is (upon if warm else None)
@@ -250,23 +250,25 @@ def test_findings_are_refitted_upon_a_creep_that_gains_little(
 
 
 @pytest.mark.parametrize("likelier", [True, False])
-def test_creep_is_fitted_from_slow_and_fast_starts_where_the_known_one_is_worse(
+def test_creep_is_fitted_round_and_straight_where_the_known_one_is_worse(
     likelier: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
     data = data_of(columns, model := model_of(VISCOUS, COULOMB))
     base: Any = SimpleNamespace(data=data, model=model, deviance=60.0 if likelier else 40.0)
-    begun: list[float] = []
+    begun: list[tuple[float, bool]] = []  # shape, whether the lead is free
 
     def fitted(_: Data, model: Model, *__: Any, **___: Any) -> Any:
-        begun.append(model.terms[-1].value("speed"))
-        return SimpleNamespace(deviance=begun[-1], began=begun[-1])
+        term = model.terms[-1]
+        begun.append((term.value("shape"), term.parameters["lead"].free))
+        return SimpleNamespace(deviance=50.0 - len(begun), began=begun[-1])
 
     monkeypatch.setattr(forward, "fit_scored", fitted)
     searcher = Searcher(data, 1, lambda *_: True, 1, print)
-    best: Any = searcher.creeping(base, 50.0)
-    assert begun[0] == 50.0 and best.began == min(begun)
-    assert begun[1:] == ([] if likelier else pytest.approx([begun[-1] / 10.0, begun[-1]]))
+    known = model_of(CREEP).terms[0]
+    best: Any = searcher.creeping(base, known)
+    assert begun == [(0.0, False)] * (1 if likelier else 2) + [(1.0, True)] * (not likelier)
+    assert best.began == begun[-1]
 
 
 @pytest.mark.parametrize(

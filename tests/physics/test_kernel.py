@@ -164,6 +164,25 @@ def test_dry_friction_sticks_and_slides_like_a_steep_smooth_law(name: str) -> No
     assert np.max(np.abs(got - true)) < 0.02 * np.max(np.abs(true - without))
 
 
+@pytest.mark.parametrize(("shape", "lead"), [("round", 0.0), ("straight", 0.0), ("straight", 0.01)])
+def test_dry_friction_that_creeps_grows_with_the_speed_or_with_the_speed_ahead(
+    shape: str, lead: float
+) -> None:
+    level, slow = 0.05, 0.2
+
+    def law(q: float, v: float, t: float, u: float) -> float:
+        if shape == "round":
+            return level * math.tanh(v / slow)
+        gives = level / slow * (J * v + lead * u) / (J + lead * level / slow)
+        return max(-level, min(level, gives))
+
+    term = {"kind": "creep", "joint": 1, "speed": slow, "lead": lead, "shape": shape}
+    true, holds = rigid(law, sub=STIFF), rubbing_by_pieces(level)
+    got = kernel(true, [{"kind": "coulomb", "joint": 1, "level": level}, term], 2)
+    # steps of 1 ms, of second order: 2.2e-4; taken at the speed of their end alone 1e-2
+    assert np.max(np.abs(got - true)) < 5e-4 * np.max(np.abs(true - holds))
+
+
 def rubbing_by_pieces(level: float, late: float = 0.0) -> np.ndarray:
     """Exact position of a joint with set-valued friction, piece by piece between changes of the
     command, which comes ``late`` s, and stops.

@@ -147,3 +147,34 @@ def test_dry_friction_that_creeps_is_coulomb_friction_smoothed_by_tanh() -> None
         )
     )
     assert np.abs(creeping - smooth).max() < 1e-6, "rad, where dry friction that holds is 3e-4 off"
+
+
+def test_dry_friction_that_grows_straight_sees_the_speed_ahead_at_coupled_joints() -> None:
+    level, slow, lead, coupled = 0.05, 0.1, 0.01, 0.004
+    sines = 0.12 * np.sin(np.outer(np.arange(1500) * T, (5.0, 8.0)))
+    model = two_joints(
+        {"kind": "coupling", "joint": 1, "from_joint": 2, "law": "inertia", "coefficient": coupled},
+        *(effect("coulomb", joint, level=level) for joint in (1, 2)),
+        *(
+            {"kind": "creep", "joint": joint, "speed": slow, "lead": lead, "shape": "straight"}
+            for joint in (1, 2)
+        ),
+    )
+    simulated = simulate_loop(model, command=sines, inner=8)["plant_q"]
+
+    def accelerated(push: float, v: float, inertia: float) -> float:
+        grip = level / slow
+        rub = grip * (inertia * v + lead * push) / (inertia + lead * grip)
+        return (push - max(-level, min(level, rub))) / inertia
+
+    q, v, steps, true = [0.0, 0.0], [0.0, 0.0], 50, []
+    for u in sines.tolist():
+        true.append(tuple(q))
+        for _ in range(steps):
+            a = accelerated(u[1], v[1], 0.02)
+            b = accelerated(u[0] - coupled * a, v[0], 0.01)
+            for i, rate in ((0, b), (1, a)):
+                q[i] += T / steps * (v[i] + 0.5 * T / steps * rate)
+                v[i] += T / steps * rate
+    off = np.abs(simulated - np.array(true)).max()
+    assert off < 2e-4 * np.abs(true).max(), "steps of 20 us are of first order"

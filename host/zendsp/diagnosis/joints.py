@@ -358,7 +358,7 @@ def _upon_creep(
     found = first.base.deviance - first.final.deviance
     if not first.base.deviance - soft.deviance < CREEPS * found:
         return None
-    both = again.creeping(first.final, soft.model.terms[-1].value("speed"))
+    both = again.creeping(first.final, soft.model.terms[-1])
     other = upon(first, soft, jobs, both)
     return None if again.goes_on(other.final) else other
 

@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.model import TREES, Model
+from zendsp.physics.model import TREES, Model, Term
 
 # ratio of errors, calibrated over given, above which calibration is said to make it worse: 3 of 240
 # cases (seed 109) reached it, each with something missing, and none of 99 complete models
@@ -26,6 +26,7 @@ APART = 10.0
 # of the travel: a joint that returns by less moves one way; and s of motion, below which a
 # recording is short. Where the model does not follow, the user is told so
 ONE_WAY, SHORT = 0.05, 5.0
+AHEAD = 0.1  # ms: fits of friction that has no lead ended at 0 to 0.11
 SLOW_ROWS = 0.004  # s: loops are seldom slower
 
 
@@ -83,15 +84,21 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
     """The note where a known dry friction changes softly at reversals."""
     return [
         f"joint {d.joint}: the improved model lets dry friction change its sign within"
-        f" {t.value('speed'):.2g} {unit}, not at once, as many simulators do: the recordings follow"
-        " that better. Whether the machine itself creeps at standstill they do not tell; it is no"
-        " missing physics"
+        f" {t.value('speed'):.2g} {unit}{_ahead(t)}, not at once, as many simulators do: the"
+        " recordings follow that better. Whether the machine itself creeps at standstill they do"
+        " not tell; it is no missing physics"
         for d in decisions
         if d.kind != Verdict.UNEXPLAINED  # there the reversals may be what is unexplained
         for unit in [units(given, d.joint)["velocity"]]
         for t in d.final.model.at(d.joint)
         if t.effect == "creep" and not any(g.effect == "creep" for g in given.at(d.joint))
     ]
+
+
+def _ahead(creep: Term) -> str:
+    """By how much a creeping friction turns before the joint does; empty where it does not."""
+    lead = 1e3 * creep.value("lead")
+    return f" and {lead:.2g} ms before the joint does" if lead > AHEAD else ""
 
 
 def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:

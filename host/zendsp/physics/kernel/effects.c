@@ -13,10 +13,10 @@ typedef struct {
     double delay[LANES], lag[LANES], k_spring[LANES], c_spring[LANES], j_load[LANES], gap[LANES];
     double s0[LANES], s1[LANES], bw_force[LANES], bw_a[LANES], bw_n[LANES], j_extra[LANES];
     double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES];
-    double creep[LANES], damp[LANES], dry_load[LANES];
+    double creep[LANES], creep_lead[LANES], damp[LANES], dry_load[LANES];
     int bw_whole, whole[MAXFX][MAXP]; /* of a number in all lanes: 1 or 2 where it is that */
-    int two_mass, lag_on, gapped, bristled, bent, creeps, pulled, hung, late, drives, senses, wavy,
-        filtered, hidden, loaded; /* whether any lane has it */
+    int two_mass, lag_on, gapped, bristled, bent, creeps, straight, pulled, hung, late, drives,
+        senses, wavy, filtered, hidden, loaded; /* whether any lane has it */
     int at[PLACES][MAXFX], count[PLACES]; /* the effects of each place, by their rows */
 } OF(numbers);
 
@@ -51,8 +51,8 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         double delay = M[l].delay, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0;
         double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0;
         double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
-        double creep = 0, damp = 0, dry_load = 0;
-        int two_mass = 0, lag_on = 0, drives = 0, senses = 0, hung = 0, loaded = 0;
+        double creep = 0, creep_lead = 0, damp = 0, dry_load = 0;
+        int two_mass = 0, lag_on = 0, drives = 0, senses = 0, hung = 0, loaded = 0, straight = 0;
         for (int i = 0; i < M->nfx; i++) {
             const double *p = M[l].p + i * MAXP;
             for (int j = 0; j < MAXP; j++) N->p[i][j * LANES + l] = p[j];
@@ -88,7 +88,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->w_order[l] = w_order;
         N->w_phase[l] = w_phase;
         N->filter[l] = filter;
-        N->creep[l] = creep;
+        N->creep[l] = creep; N->creep_lead[l] = creep_lead;
         N->damp[l] = damp;
         N->dry_load[l] = dry_load;
         N->wavy |= w_amp != 0;
@@ -103,7 +103,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->gapped |= gap > 0;
         N->bristled |= s0 > 0;
         N->bent |= bw_force > 0;
-        N->creeps |= creep > 0;
+        N->creeps |= creep > 0; N->straight |= straight;
         N->pulled |= M[l].gravity != 0; N->late |= delay != 0;
     }
 }

@@ -168,9 +168,6 @@ static void share_inertia(const zk_model *M, double J, double extra, double load
 /* Steps of a gap's contact for each of the others: a contact begins and ends within a step. */
 enum { CONTACT_STEPS = 2 };
 
-/* Newton's steps to the speed at which a creeping friction lets a joint move. */
-enum { CREEP_STEPS = 3 };
-
 /* Samples that are taken together: of columns brought beside one another, and of looks at whether
  * lanes have run away. */
 enum { BLOCK = 16 };

@@ -34,37 +34,44 @@ static void eliminate(int n, const double *A, const double *b, const int8_t *stu
         v[at[i]] = r[i];
 }
 
-/* A v + λ = b, λ_i = up_i for v_i > 0, -down_i for v_i < 0, between them at rest. v comes in as a
- * guess. */
+/* A v + λ = b, λ_i = up_i for v_i > 0, -down_i for v_i < 0, between them at rest; of a friction
+ * that gives way λ_i = give_i v_i + from_i, between the same limits. v comes in as a guess. */
 static void solve(int n, const double *A, const double *b, const double *up, const double *down,
-                  double *v) {
+                  const double *give, const double *from, double *v) {
     if (n == 1) {
-        v[0] = (b[0] > up[0] ? b[0] - up[0] : b[0] < -down[0] ? b[0] + down[0] : 0) / A[0];
+        const double rub = (give[0] * b[0] + A[0] * from[0]) / (A[0] + give[0]);
+        const double at = give[0] > 0 ? rub : b[0];
+        v[0] = (b[0] - (at > up[0] ? up[0] : at < -down[0] ? -down[0] : at)) / A[0];
         return;
     }
     int8_t side[SIM_DOF], stuck[SIM_DOF];
-    double r[SIM_DOF];
+    double r[SIM_DOF], B[SIM_DOF * SIM_DOF];
     int dry = 0;
     for (int i = 0; i < n; i++) {
         dry |= up[i] > 0 || down[i] > 0;
-        side[i] = v[i] > 0 ? 1 : v[i] < 0 ? -1 : 0;
+        side[i] = give[i] > 0 ? 0 : v[i] > 0 ? 1 : v[i] < 0 ? -1 : 0;
         if (up[i] <= 0 && down[i] <= 0)
             side[i] = 2; /* free: no sign to keep */
     }
     for (int trial = 0; trial < 12; trial++) {
+        memcpy(B, A, sizeof(double) * (size_t)(n * n));
         for (int i = 0; i < n; i++) {
-            stuck[i] = side[i] == 0;
-            r[i] = b[i] - (side[i] == 1 ? up[i] : side[i] == -1 ? -down[i] : 0);
+            const int gives = side[i] == 0 && give[i] > 0;
+            stuck[i] = side[i] == 0 && !gives;
+            B[i * n + i] += gives ? give[i] : 0;
+            r[i] = b[i] - (side[i] == 1 ? up[i] : side[i] == -1 ? -down[i] : gives ? from[i] : 0);
         }
-        eliminate(n, A, r, stuck, v);
+        eliminate(n, B, r, stuck, v);
         if (!dry)
             return;
         int changed = 0;
         for (int i = 0; i < n; i++) {
             if (side[i] == 2)
                 continue;
+            const double rub = give[i] * v[i] + from[i];
             if (side[i] != 0) {
-                if (v[i] * side[i] < 0) {
+                if (give[i] > 0 ? rub * side[i] < (side[i] > 0 ? up[i] : down[i])
+                                : v[i] * side[i] < 0) {
                     side[i] = 0;
                     changed = 1;
                 }
@@ -85,14 +92,11 @@ static void solve(int n, const double *A, const double *b, const double *up, con
     for (int sweep = 0; sweep < 200; sweep++) {
         double change = 0, size = 0;
         for (int i = 0; i < n; i++) {
-            double load = b[i];
+            double load = b[i], next;
             for (int k = 0; k < n; k++)
                 if (k != i)
                     load -= A[i * n + k] * v[k];
-            const double next = (load > up[i]      ? load - up[i]
-                                 : load < -down[i] ? load + down[i]
-                                                   : 0) /
-                                A[i * n + i];
+            solve(1, &A[i * n + i], &load, &up[i], &down[i], &give[i], &from[i], &next);
             change = fmax(change, fabs(next - v[i]));
             size = fmax(size, fabs(next));
             v[i] = next;

@@ -47,6 +47,8 @@ typedef struct sim_joint { /* what the effects of site "setup" set, and states *
     double delay, lag, k_spring, c_spring, j_load, gap, s0, s1, bw_force, bw_a, bw_n, j_extra;
     double dry_load; /* dry friction of a load on a spring */
     double creep; /* speed about which dry friction changes its sign; 0: it holds */
+    double creep_lead; /* s: how far ahead a straight one sees the speed */
+    int straight; /* it grows in proportion to the speed, not as a tanh */
     double k_cubic, w_amp, w_order, w_phase; /* load = motor + w_amp sin(w_order motor + w_phase) */
     double filter, seen;                     /* s; the position behind the filter */
     double column_late;                      /* s: of the recorded command */

@@ -70,14 +70,25 @@ static void bias(const sim *S, const double *x, const double *v, const tree_pose
             out[i] = S->c.weight[i] != 0 ? S->c.weight[i] * sin(x[i]) : 0.0;
 }
 
+/* Friction's impulse over H, give v_next + from, where it grows with the speed ahead, and that of
+ * the step is taken so that one that falls exponentially is exact. */
+static void give_way(const sim_joint *j, double H, double mass, double level, double v,
+                     double *give, double *from) {
+    const double slope = level / j->creep;
+    double phi, psi;
+    decay(H * slope / (mass + slope * j->creep_lead), &phi, &psi);
+    *give = slope * (H * psi / phi + j->creep_lead);
+    *from = slope * (H * (1 - psi / phi) - j->creep_lead) * v;
+}
+
 /* Speeds after H seconds from speeds v, forces at (xm, ve). M: the links' inertia at xm. keep: also
  * advance bristles and hysteresis. */
 static void stage(sim *S, double H, double t, const double *M, const tree_pose *pose,
                   const double *xm, const double *v, const double *ve, double *out, int keep) {
     const int n = S->c.joints, N = S->dof;
     double A[SIM_DOF * SIM_DOF], b[SIM_DOF], up[SIM_DOF], down[SIM_DOF], g[SIM_MAX];
-    double E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX], y[SIM_MAX], yd[SIM_MAX], slope[SIM_MAX],
-        bend[SIM_MAX];
+    double give[SIM_DOF], from[SIM_DOF], E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX], y[SIM_MAX],
+        yd[SIM_MAX], slope[SIM_MAX], bend[SIM_MAX];
     if (S->uneven) {
         links(S, xm, y, slope, bend);
         for (int i = 0; i < n; i++)
@@ -92,7 +103,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
     } else
         bias(S, xm, ve, pose, g);
     for (int i = 0; i < N; i++) {
-        up[i] = down[i] = 0;
+        up[i] = down[i] = give[i] = from[i] = 0;
         for (int k = 0; k < N; k++)
             A[i * N + k] = 0;
     }
@@ -141,6 +152,11 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
             E[i] = exp(-x);
             push -= j->s0 * j->z * phi[i] + j->s1 * j->z * (E[i] - 1) / H;
             damp += j->s0 * H * psi + j->s1 * phi[i];
+        } else if (j->creep > 0 && j->straight) {
+            give_way(j, H, A[m * N + m], level, v[m], &give[m], &from[m]);
+            up[m] = H * f.dry_pos;
+            down[m] = H * f.dry_neg;
+            E[i] = phi[i] = 0;
         } else if (j->creep > 0) {
             damp += ve[m] != 0 ? level * tanh(ve[m] / j->creep) / ve[m] : level / j->creep;
             E[i] = phi[i] = 0;
@@ -176,7 +192,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
         }
     }
     memcpy(out, v, sizeof(double) * (size_t)N);
-    solve(N, A, b, up, down, out);
+    solve(N, A, b, up, down, give, from, out);
     if (!keep)
         return;
     for (int i = 0; i < n; i++) {
