@@ -357,7 +357,7 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
     error = rms(window_error(parts.test, out.base.model, out.joint))
     sensor = noise_floor(parts.test, out.joint)
     off = error > BEYOND_SENSOR * sensor
-    surely = off and beyond(out.before.low, out.known.all) > LAWFUL
+    surely = beyond(out.before.low, out.known.all) > LAWFUL
     # an error n times the sensor's counts as much with an nth of the torque
     thrown = off and lacks > OF_STATE and lacks * error > THROWN * sensor
     if lawful or surely or thrown or (lacks > MACHINE and out.before.low > 0.0):
