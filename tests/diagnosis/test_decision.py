@@ -140,7 +140,8 @@ def _sensor(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
         (0.005, 0.0, 17.0, "unexplained"),
         (0.0065, 0.0055, 5.0, "complete"),
         (0.012, 0.011, 4.0, "unexplained"),
-        (0.02, 0.016, 2.5, "complete"),
+        (0.02, 0.016, 1.0, "unexplained"),  # surely more than 1 %
+        (0.02, 0.009, 2.5, "complete"),
         (0.002, 0.002, 1000.0, "complete"),
     ],
 )

@@ -277,7 +277,7 @@ def test_friction_beside_a_curve_over_position_is_claimed_where_nothing_is_left(
     monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
     monkeypatch.setattr(nameless, "beside_unknown", lambda *_: None)
     monkeypatch.setattr(laws, "discrepancy", lambda *_: outcome.after)
-    outcome = replace(outcome, final=nothing)
+    outcome = replace(outcome, final=nothing, alone=nothing)
     decided = laws.believed(replace(outcome, base=nothing), nothing, nothing, 1)
     assert ("coulomb" in {c.effect for c in decided.refinements}) is not stand
     assert [c.effect for c in decided.claims] == (["unknown", "coulomb"] if stand else ["unknown"])
@@ -302,7 +302,7 @@ def test_the_mechanism_of_an_unknown_torque_is_judged_beside_the_named_laws(
     monkeypatch.setattr(laws, "stated", lambda claim, _: named > 0.5)
     monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
     monkeypatch.setattr(laws, "_turns_otherwise", lambda *_: True)
-    outcome = replace(of_one_claim(curve, 0.4, 0.01), claims=(rubs, curve), base=base, final=base)
+    outcome = replace(of_one_claim(curve, 0.4, 0.01, base), claims=(rubs, curve))
     monkeypatch.setattr(laws, "_alone", lambda *_: outcome.alone)
     parts: Any = SimpleNamespace(each=())
     decided = laws.believed(outcome, parts, parts, 1)

@@ -15,7 +15,7 @@ from scipy import signal
 
 from zendsp.proof.build_case import Request, Unusable, make_case
 from zendsp.proof.cases import write_all
-from zendsp.proof.forms import FORMS
+from zendsp.proof.forms import DRY, FLUID, FORMS, Frame
 from zendsp.proof.mechanisms import LAWS, MECHANISM
 
 mujoco = pytest.importorskip("mujoco")
@@ -169,6 +169,19 @@ def test_foreign_forms_are_sized_and_parts_too() -> None:
     stop = make.foreign_of(changed, "stop", 0, scales, 0.1, np.random.default_rng(3))
     assert 0.03 < stop.size < 0.3
     assert len(FORMS) + len(PARTS) + len(TOGETHER) >= 30
+
+
+def test_a_foreign_friction_that_needs_no_step_at_standstill_may_be_called_fluid() -> None:
+    """Dry friction has most of its torque at a tenth of the usual speed; what rises with the speed
+    is fluid, or either. (Where a torque of the motor's or of earlier motion rubs, both are left
+    out.)
+    """
+    rubbing = {name: form for name, form in FORMS.items() if {DRY, FLUID} & set(form.mechanisms)}
+    for name in rubbing.keys() - {"gainplace", "memory"}:
+        shape = rubbing[name].make(Frame(0.0, 1.0, 1.0, 3.0, 20.0), np.random.default_rng(1))()
+        at = [np.hypot.reduce([shape(x, w, 1.0, 1.0) for x in np.linspace(-1.0, 1.0, 41)])
+              for w in np.linspace(0.1, 3.0, 30)]  # fmt: skip
+        assert (at[0] < 0.5 * max(at)) == (FLUID in rubbing[name].mechanisms), name
 
 
 def test_jitter_is_in_the_stamps_and_they_are_true() -> None:

@@ -108,7 +108,7 @@ plain("qv", "a torque of position times speed", (*RUBS, PLACE), lambda x, w, t, 
 plain(
     "tanhqv",
     "follows the sign of position times speed",
-    (DRY, PLACE),
+    (*RUBS, PLACE),
     lambda x, w, t, u: -tanh(4 * x * w),
 )
 plain(

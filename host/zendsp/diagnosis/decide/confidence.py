@@ -21,7 +21,7 @@ from zendsp.diagnosis.measure.structure import STRUCTURED
 from zendsp.physics.effects import get_effect, mechanism_of
 
 NAMES = ("constant", "unknown", "left", "free", "small")
-WEIGHTS = (-0.52, 2.27, 2.40, -0.69, -2.02)
+WEIGHTS = (-0.52, 3.04, 2.40, -0.69, -2.02)
 SUREST = 0.97  # of 114 findings with 0.9 and more, on makers left out, 97 % were right
 FINEST_KNOWN = 1e-4  # of the RMS torque: no discrepancy is known to be smaller
 

@@ -14,7 +14,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
-from zendsp.diagnosis.decide.near import doubt, why_curve
+from zendsp.diagnosis.decide.near import LEAVES_MORE, doubt, why_curve
 from zendsp.diagnosis.decide.patchwork import (
     both_needed,
     draws_a_curve,
@@ -29,6 +29,7 @@ from zendsp.diagnosis.decide.pieces import (
     kept_laws,
     kind_of,
     known_discrepancy,
+    law_leaves,
     may_leave,
     piece_of,
     rms_torque,
@@ -201,9 +202,7 @@ class _Judge:
         pieces = len(own) + (level if of_position and len(own) > 1 else 0)
         return why_curve(
             {
-                "it leaves more of what its variables predict than a law may": (
-                    self._leaves_more(piece, ranked, left)
-                ),
+                LEAVES_MORE: self._leaves_more(piece, ranked, left),
                 "laws that are no harmonics of one, or not told apart, draw a curve": (
                     of_position and is_curve(ranked, travel)
                 ),
@@ -303,16 +302,20 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     laws = {c.effect for c in likely if c.effect != "unknown"}
     alone = _without_others(likely, decision, given, jobs)
     most = _beside_doubted(likely, alone, decision, parts, given, jobs)
+    described = [c for c in likely if not _hid(c, alone, decision, parts)]
     keep, more = [], list(decision.refinements)
     doubted: set[str] = set()  # mechanisms: a law beside a doubted one may be a part of it
     for claim in decision.claims:
-        why = doubt(confidence(claim, decision), any(claim is k for k in likely))
+        is_likely, is_law = (any(claim is k for k in some) for some in (likely, described))
+        why = doubt(confidence(claim, decision), is_likely)
+        if is_likely and not is_law:
+            why = LEAVES_MORE
         if claim.effect == "unknown":
             if told_apart(claim, decision, parts, given, laws):
                 keep.append(without_law(claim, decision))
         elif (
             claim.mechanism not in doubted
-            and any(claim is k for k in likely)
+            and is_law
             and (ahead := _goes_on(claim, alone, parts)) is not None
         ):
             keep.append(replace(claim, ahead=ahead, most=most.get(id(claim), 1.0)))
@@ -421,6 +424,21 @@ def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bo
     return most and (
         structure(parts.each, decision.base.model, decision.joint, STRUCTURED).share < PREDICTED
     )
+
+
+def _hid(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> bool:
+    """Whether terms that are not stated hid what a law leaves over its own variables; not where one
+    of them stands upon it, as a doubted Stribeck curve does upon Coulomb friction.
+    """
+    others = (*decision.refinements, *decision.claims)
+    upon = any(claim.effect in get_effect(c.term.effect).needs for c in others)
+    if claim.mechanism not in STRUCTURED or upon or alone is decision.final:
+        return False
+    bare = structure(
+        parts.each, alone.model, decision.joint, [claim.mechanism], claim.mechanism != DRY
+    )
+    allowed = math.hypot(law_leaves(claim.size, [claim.term]), decision.known.of_state)
+    return _surely_more(bare, max(allowed, SIMULATORS_DIFFER))
 
 
 def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> float | None:

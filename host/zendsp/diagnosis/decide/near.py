@@ -11,6 +11,7 @@ from zendsp.diagnosis.decide.contract import Rejected, Verdict, nearest
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.measure.discrepancy import Size
 
+LEAVES_MORE = "it leaves more of what its variables predict than a law may"
 NO_BETTER = "with it untouched recordings are predicted no better"
 
 

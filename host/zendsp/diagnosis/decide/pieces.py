@@ -426,9 +426,12 @@ def may_leave(piece: Piece) -> float:
     A law of several free numbers can imitate another one, so it may leave less. (An exponent,
     fitted only at the end, does not count.)
     """
-    laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism] or list(
-        piece.terms
-    )
+    laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
+    return law_leaves(piece.size, laws or piece.terms)
+
+
+def law_leaves(size: float, laws: Sequence[Term]) -> float:
+    """The same for a mechanism of some size, by the least free of its ``laws``."""
     freedom = min(
         sum(
             q.free and get_effect(t.effect).parameter(key).fitted
@@ -436,7 +439,7 @@ def may_leave(piece: Piece) -> float:
         )
         for t in laws
     )
-    return LEFT_BY_A_LAW * piece.size / max(freedom, 1) ** 2
+    return LEFT_BY_A_LAW * size / max(freedom, 1) ** 2
 
 
 def known_discrepancy(given: Model, test: Data, joint: int) -> Known:

@@ -1,0 +1,114 @@
+"""Terms that untouched recordings do not surely show: neither kept beside a claim, nor hiding what
+a law leaves.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from made_claims import PARTS, claim_of, of_one_claim, piece
+
+from zendsp.diagnosis.decide import decide, laws
+from zendsp.diagnosis.decide.claims import Piece
+from zendsp.diagnosis.measure.structure import Structure
+from zendsp.physics.model import Quantity, Term
+
+
+def split(
+    monkeypatch: pytest.MonkeyPatch, proposed: dict[str, dict[str, float]], lead: str
+) -> tuple[str, list[str], list[str]]:
+    """What stays of proposed models: of each, by the names of its effects, how sure untouched
+    recordings are of each effect. ``lead`` is claimed where it is sure.
+    """
+
+    def made(model: str, effect: str) -> Piece:
+        found = piece(0.05, proposed[model][effect], proposed[model][effect], effect)
+        rest = "+".join(e for e in model.split("+") if e != effect)
+        object.__setattr__(found, "without", SimpleNamespace(model=rest))
+        return found
+
+    def apart(*given: Any) -> tuple[list[Piece], list[Piece]]:
+        each = given[-1]
+        claimed = [p for p in each if p.effects == (lead,) and p.evidence.z > 3.0]
+        return claimed, [p for p in each if p not in claimed]
+
+    def terms(_given: Any, model: str, _joint: int) -> list[str]:
+        return model.split("+")
+
+    monkeypatch.setattr(decide, "new_terms", terms)
+    monkeypatch.setattr(decide, "grouped", lambda _g, _m, new: {(e, 0): (e,) for e in new})
+    monkeypatch.setattr(decide, "piece_of", lambda _t, _g, final, e, *_: made(final.model, e))
+    monkeypatch.setattr(decide, "held_apart", apart)
+    monkeypatch.setattr(decide, "sure", lambda _, p: p.evidence.z > 3.0)
+    search: Any = SimpleNamespace(joint=1, base=None)
+    whole: Any = SimpleNamespace(model=next(iter(proposed)))
+    given: Any = None
+    final, claimed, rest = decide._surely_shown(PARTS, given, search, whole, 1)
+    model: Any = final.model
+    return model, [p.effects[0] for p in claimed], [p.effects[0] for p in rest]
+
+
+def test_a_refinement_that_untouched_recordings_do_not_surely_show_leaves_the_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beside a viscosity that grows with the place a limit of the supply took 0.1 % of the torque.
+    In a motion with larger torques it made the error half as large again.
+    """
+    proposed = {
+        "position_friction+voltage_limit": {"position_friction": 4.1, "voltage_limit": 2.3},
+        "position_friction": {"position_friction": 4.0},
+    }
+    assert split(monkeypatch, proposed, "position_friction") == (
+        "position_friction", ["position_friction"], []
+    )  # fmt: skip
+
+
+def test_of_two_that_stand_in_for_one_another_one_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is unsure beside the other, and sure alone."""
+    proposed = {
+        "stiffness+delay+lag": {"stiffness": 9.0, "delay": 1.0, "lag": 0.5},
+        "stiffness+delay": {"stiffness": 9.0, "delay": 8.0},
+    }
+    assert split(monkeypatch, proposed, "stiffness") == (
+        "stiffness+delay", ["stiffness"], ["delay"]
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("beside", "alone"),
+    [("viscous", 9.0), ("ripple", 1.0)],  # friction of every machine; the claim is nothing alone
+)
+def test_what_every_machine_has_or_a_claim_needs_stays(
+    beside: str, alone: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    proposed = {f"coulomb+{beside}": {"coulomb": 9.0, beside: 1.0}, "coulomb": {"coulomb": alone}}
+    assert split(monkeypatch, proposed, "coulomb")[0] == f"coulomb+{beside}"
+
+
+@pytest.mark.parametrize(
+    ("law", "alone", "hid"),
+    [
+        ("quadratic_drag", 0.025, True),
+        ("quadratic_drag", 0.015, False),  # less than a fifth of its size
+        ("quadratic_drag", 0.0, False),
+        ("stiffness", 0.015, True),  # of two numbers: a twentieth
+        ("elasticity", 0.025, False),  # no function of the state
+    ],
+)
+def test_what_a_law_leaves_is_not_hidden_by_terms_that_are_not_stated(
+    law: str, alone: float, hid: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drag that differs along the travel had been a quadratic drag: frictions that were fitted
+    beside it, and that untouched recordings did not show, took what it left.
+    """
+    numbers = {"stiffness": ("coefficient", "neutral"), "elasticity": ("stiffness",)}
+    names = numbers.get(law, ("coefficient",))
+    claim = claim_of(Term(law, 1, {name: Quantity(1.0) for name in names}), 0.1)
+    left = {"alone": Structure(alone, 0.9, 9.0), "whole": Structure(0.0, 0.0, 0.0)}
+    monkeypatch.setattr(laws, "structure", lambda _parts, model, *_: left[model])
+    whole, bare = (SimpleNamespace(model=name) for name in ("whole", "alone"))
+    decision: Any = of_one_claim(claim, 0.1, 0.0, whole)
+    assert laws._hid(claim, bare, decision, PARTS) is hid  # type: ignore[arg-type]
+    assert not laws._hid(claim, whole, decision, PARTS)  # type: ignore[arg-type]
