@@ -76,6 +76,33 @@ def test_one_spring_replaces_two_laws_where_it_gains_nearly_as_much(
     assert {t.effect for t in best.model.terms} == kept
 
 
+@pytest.mark.parametrize(
+    ("amount", "kept"), [(5e-6, {"torque_gain", "inertia"}), (5e-4, {"inertia", "gravity"})]
+)
+def test_a_gain_beside_which_simulators_may_differ_by_the_inertia_is_no_payload(
+    monkeypatch: pytest.MonkeyPatch, amount: float, kept: set[str]
+) -> None:
+    """More inertia and a weaker drive are a payload, but any gain is a heavier body exactly."""
+    record = SimpleNamespace(n=11)
+    data = SimpleNamespace(records=[[record]])
+    monkeypatch.setattr(simplify, "facts", lambda _: SimpleNamespace(inertia=0.0186))
+
+    def scored(model: Model) -> Any:  # all but the gain alone explain as much
+        alone = {t.effect for t in model.terms} == {"torque_gain"}
+        return SimpleNamespace(model=model, data=data, deviance=67.0 if alone else 0.0)
+
+    mechanism = {"kind": "rotary", "parameters": {"inertia": 0.0186, "gravity": 1.1}}
+    bare = parse_model({"sample_time": 0.001, "mechanism": mechanism})
+    two = (
+        make_term(get_effect("torque_gain"), 1, {"ratio": -0.07}),
+        make_term(get_effect("inertia"), 1, {"amount": amount}),
+    )
+    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model))
+    found: Any = SimpleNamespace(joint=1, base=scored(bare))
+    best = simplify._as_payload(found, scored(bare.with_terms(two)), 1000, 1)
+    assert {t.effect for t in best.model.terms} == kept
+
+
 def test_refinements_are_held_fixed_in_the_model_file() -> None:
     """The second of two terms of one effect is held, but not one that replaces a given term."""
     terms = [

@@ -191,6 +191,11 @@ def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     gravity = best.model.mechanism.get("gravity", ())
     if not {"torque_gain", "inertia"} <= set(new) or not any(q.value for q in gravity):
         return best
+    # what two simulators differ by is no body: gain and body exchange exactly, but for this inertia
+    record = best.data.records[0][found.joint - 1]
+    least = SIGNIFICANT * INTEGRATION_ERROR * facts(record).inertia
+    if abs(new["inertia"].value("amount")) < least:
+        return best
     rest = tuple(t for t in best.model.terms if t is not new["inertia"])
     alone = _refitted(best.data, best.model.with_terms(rest), found.joint, jobs, 2)
     if alone.deviance < best.deviance + price((new["inertia"],), n):
