@@ -103,6 +103,30 @@ def test_a_gain_beside_which_simulators_may_differ_by_the_inertia_is_no_payload(
     assert {t.effect for t in best.model.terms} == kept
 
 
+@pytest.mark.parametrize(("of_a_block", "released"), [(8.8, False), (40.0, True)])
+def test_an_exponent_is_not_fitted_to_one_moment_in_which_the_model_loses_track(
+    monkeypatch: pytest.MonkeyPatch, of_a_block: float, released: bool
+) -> None:
+    """Both gain 300 in deviance. At a start from rest 13 deviations of an exponent gained as much
+    in one block, and 9 where no block counts for more than ten usual ones.
+    """
+    numbers = {"breakaway": 0.05, "velocity": 0.08, "exponent": 2.0}
+    bare = parse_model(
+        {"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}, "sample_time": 0.001}
+    )
+    law = make_term(get_effect("stribeck"), 1, numbers)
+
+    def scored(model: Model, deviance: float) -> Any:
+        fit = SimpleNamespace(handles=(), at_bound=())
+        return SimpleNamespace(model=model, data=None, deviance=deviance, fit=fit)
+
+    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model, -300.0))
+    monkeypatch.setattr(simplify, "compare", lambda *_: SimpleNamespace(gain=of_a_block))
+    found: Any = SimpleNamespace(joint=1, base=scored(bare, 0.0))
+    (term,) = simplify._released(found, scored(bare.with_terms((law,)), 0.0), 40000, 1).model.terms
+    assert term.parameters["exponent"].free is released
+
+
 def test_refinements_are_held_fixed_in_the_model_file() -> None:
     """The second of two terms of one effect is held, but not one that replaces a given term."""
     terms = [

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import (
     Scored,
     cost_of,
@@ -351,7 +352,9 @@ def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
         bound and h.key in names
         for h, bound in zip(other.fit.handles, other.fit.at_bound, strict=True)
     )
-    told = other.deviance < best.deviance - math.log(max(n, 10))
+    # one block in which a model loses track, as at a start from rest, tells nothing of a number
+    gain = compare(best, other, best.data, found.joint).gain
+    told = gain > math.log(max(n, 10))
     return other if told and not at_bound else best
 
 
