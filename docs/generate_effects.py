@@ -45,7 +45,7 @@ SITE = {
     "dry": "dry friction, with sticking",
     "scale": "a factor on all friction of the joint",
     "dry_scale": "a factor on the dry friction of the joint",
-    "actuator": "between command and torque, behind delay and lag",
+    "actuator": "between command and torque, behind a delay, before a lag",
     "drive": "between command and torque, with the speed",
     "sensor": "between joint and recording",
     "setup": "in the equation of the joint itself: a state, a time, the inertia",

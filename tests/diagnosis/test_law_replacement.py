@@ -76,6 +76,57 @@ def test_one_spring_replaces_two_laws_where_it_gains_nearly_as_much(
     assert {t.effect for t in best.model.terms} == kept
 
 
+@pytest.mark.parametrize(
+    ("amount", "kept"), [(5e-6, {"torque_gain", "inertia"}), (5e-4, {"inertia", "gravity"})]
+)
+def test_a_gain_beside_which_simulators_may_differ_by_the_inertia_is_no_payload(
+    monkeypatch: pytest.MonkeyPatch, amount: float, kept: set[str]
+) -> None:
+    """More inertia and a weaker drive are a payload, but any gain is a heavier body exactly."""
+    record = SimpleNamespace(n=11)
+    data = SimpleNamespace(records=[[record]])
+    monkeypatch.setattr(simplify, "facts", lambda _: SimpleNamespace(inertia=0.0186))
+
+    def scored(model: Model) -> Any:  # all but the gain alone explain as much
+        alone = {t.effect for t in model.terms} == {"torque_gain"}
+        return SimpleNamespace(model=model, data=data, deviance=67.0 if alone else 0.0)
+
+    mechanism = {"kind": "rotary", "parameters": {"inertia": 0.0186, "gravity": 1.1}}
+    bare = parse_model({"sample_time": 0.001, "mechanism": mechanism})
+    two = (
+        make_term(get_effect("torque_gain"), 1, {"ratio": -0.07}),
+        make_term(get_effect("inertia"), 1, {"amount": amount}),
+    )
+    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model))
+    found: Any = SimpleNamespace(joint=1, base=scored(bare))
+    best = simplify._as_payload(found, scored(bare.with_terms(two)), 1000, 1)
+    assert {t.effect for t in best.model.terms} == kept
+
+
+@pytest.mark.parametrize(("of_a_block", "released"), [(8.8, False), (40.0, True)])
+def test_an_exponent_is_not_fitted_to_one_moment_in_which_the_model_loses_track(
+    monkeypatch: pytest.MonkeyPatch, of_a_block: float, released: bool
+) -> None:
+    """Both gain 300 in deviance. At a start from rest 13 deviations of an exponent gained as much
+    in one block, and 9 where no block counts for more than ten usual ones.
+    """
+    numbers = {"breakaway": 0.05, "velocity": 0.08, "exponent": 2.0}
+    bare = parse_model(
+        {"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}, "sample_time": 0.001}
+    )
+    law = make_term(get_effect("stribeck"), 1, numbers)
+
+    def scored(model: Model, deviance: float) -> Any:
+        fit = SimpleNamespace(handles=(), at_bound=())
+        return SimpleNamespace(model=model, data=None, deviance=deviance, fit=fit)
+
+    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model, -300.0))
+    monkeypatch.setattr(simplify, "compare", lambda *_: SimpleNamespace(gain=of_a_block))
+    found: Any = SimpleNamespace(joint=1, base=scored(bare, 0.0))
+    (term,) = simplify._released(found, scored(bare.with_terms((law,)), 0.0), 40000, 1).model.terms
+    assert term.parameters["exponent"].free is released
+
+
 def test_refinements_are_held_fixed_in_the_model_file() -> None:
     """The second of two terms of one effect is held, but not one that replaces a given term."""
     terms = [

@@ -19,6 +19,8 @@ from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.report import summary
 from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.body_columns import _frictions
+from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import kernel_model
 
@@ -69,6 +71,27 @@ def test_a_body_that_was_found_is_not_told_as_missed(record) -> None:  # type: i
     term = SimpleNamespace(effect="payload", joint=3)
     claim = SimpleNamespace(found=SimpleNamespace(term=term))
     assert ("payload", 3) not in least(record("none", Arm()), claims=[claim])
+
+
+def test_a_payload_has_no_inertia_of_its_own_where_rotors_make_up_for_it(  # type: ignore[no-untyped-def]
+    record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two joints at right angles feel it as two rotors; its number was then off by the rotors that
+    the joints claimed. The arm has such joints where a brake holds the last one.
+    """
+    shares = []
+    own_share = Solver.own_share
+    monkeypatch.setattr(
+        Solver, "own_share", lambda *a: shares.append(own_share(*a)) or shares[-1]
+    )
+    any_inertia = replace(LIMITS, shown=0.0, blurred=1e9)
+    free = []
+    for name, held in (("at_right_angles", 3), ("all_turn", 0)):
+        made = record(name, Arm(mass=1.5, held=held), friction=True)
+        found = bodies.find_bodies(*prepared(made), made[0], 1, lambda _: None, any_inertia).found
+        free.append([f.explained.hypothesis.free for f in found])
+    assert shares[0] < 0.1 * LIMITS.no_rotor and shares[-1] > 10 * LIMITS.no_rotor
+    assert free[0] == [("mass", "com_x", "com_y", "com_z")]
 
 
 def test_the_summary_tells_the_largest_body_of_each_kind_that_may_have_been_missed() -> None:

@@ -42,6 +42,16 @@ def test_lag_is_a_first_order_actuator() -> None:
     assert np.max(np.abs(got - true)) < 1e-6 * np.max(np.abs(true - without))
 
 
+@pytest.mark.parametrize("name", ACTUATOR)
+def test_a_lag_is_asked_for_what_the_drive_gives(name: str) -> None:
+    """A current loop or a winding lags behind the limited command."""
+    parameters, drive = ACTUATOR[name]
+    true = integrate(lambda x, t, u: (x[1], x[2] / J, (drive(u) - x[2]) / 0.005), 3)[:, 0]
+    lag = {"kind": "lag", "joint": 1, "time_constant": 0.005}
+    got = kernel(true, [lag, {"kind": name, "joint": 1, **parameters}], 1)
+    assert np.max(np.abs(got - true)) < 1e-6 * np.max(np.abs(true - rigid(lambda *_: 0.0)))
+
+
 def moved_by(at: Callable[[float], float]) -> np.ndarray:
     """The rigid joint under the command that ``at`` gives for a time in rows."""
     q, v, true, h = 0.0, 0.0, [], T / 40

@@ -51,6 +51,15 @@ def test_delay_and_lag_shift_the_torque_in_time() -> None:
     )
 
 
+def test_a_saturated_torque_still_lags_when_the_command_turns() -> None:
+    """Behind the lag a command of 1.0 would stay saturated for ln 10 time constants."""
+    command = np.r_[np.full(50, 1.0), np.zeros(50)]
+    laws = effect("lag", time_constant=0.005), effect("saturation", level=0.1)
+    speed = simulate_loop(rotary(*laws), command=command)["plant_qd"]
+    # the torque after the turn sums up to level times time constant
+    assert speed[-1] - speed[50] == pytest.approx(0.1 * 0.005 / 0.01, rel=1e-3)
+
+
 def test_an_elastic_joint_rings_at_its_resonance() -> None:
     jm, jl, k = 0.004, 0.006, 30.0
     model = rotary(effect("elasticity", stiffness=k, damping=0.0, load_inertia=jl), inertia=jm + jl)

@@ -61,6 +61,9 @@ class BodyLimits:
     # many of that without it, or below this part of the mass
     blurred: float = 3.0
     of_mass: float = 0.01
+    # least part of what shows that inertia which no rotors make up for: two joints at right angles
+    # had 4e-6 to 1.5e-4, all other arms 0.1 and more
+    no_rotor: float = 3e-3
     settled: float = 1e-3  # deviance: a fit ends with a step that gains less
     damped: float = 1e6  # damping at which a fit gives up
     # m from the link's origin: start values of a payload's centre

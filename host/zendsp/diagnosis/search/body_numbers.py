@@ -123,7 +123,8 @@ def _standing(
             spread = solver.std(wider, more)
             told_apart = spread[0] < max(limits.blurred * std[0], limits.of_mass * abs(more[0]))
             shown = abs(more[-1]) > limits.shown * spread[-1]
-            if shown and told_apart and solver.plausible(wider, more):
+            own = solver.own_share(wider, more) > limits.no_rotor
+            if shown and told_apart and own and solver.plausible(wider, more):
                 h, new, std = wider, more, spread
         known = len(values)
         stands = (

@@ -117,15 +117,19 @@ class Solver:
     def _normal(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
         """Normal matrix (p, p) and slope (p,) of the deviance."""
         x, jac = self._linear(h, values)
-        left = self._left(x)
-        # a joint that stands still says nothing
-        told = left > 1e-12 * float(np.max(left, initial=0.0))
-        weight = np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
+        weight = self._weight(self._left(x))
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
         inner = np.einsum("jab,jbp->jap", self.rest[:, :-1, :-1], jac)
         normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
         left_over = np.einsum("jab,jb->ja", self.rest[:, :-1], tail)
         return normal, np.einsum("j,jap,ja->p", weight, jac, left_over)
+
+    def _weight(self, left: Array) -> Array:
+        """The weight of each joint's squares, of which a fit leaves this much; a joint that stands
+        still says nothing.
+        """
+        told = left > 1e-12 * float(np.max(left, initial=0.0))
+        return np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
 
     def step(self, h: Hypothesis, values: Array) -> Array:
         """The difference of the most likely numbers from these, to first order, (p,)."""
@@ -201,6 +205,19 @@ class Solver:
         # neighbours are correlated (Newey and West 1987)
         spread = scores.T @ scores + 0.5 * (paired + paired.T)
         return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)))
+
+    def own_share(self, h: Hypothesis, values: Array) -> float:
+        """The part of what the recordings say of a hypothesis's last number that remains beside the
+        nuisance of all joints.
+        """
+        x, jac = self._linear(h, values)
+        weight, column = self._weight(self._left(x)), jac[:, :, -1]
+        whole = self.fit.whole[:, NUISANCE:-1, NUISANCE:-1]
+        beside, alone = (
+            float(np.einsum("j,ja,jab,jb->", weight, column, gram, column))
+            for gram in (self.rest[:, :-1, :-1], whole)
+        )
+        return beside / max(alone, 1e-300)
 
     def squares(self, x: Array) -> Array:
         """Squared innovations on the recordings to choose by, per joint."""

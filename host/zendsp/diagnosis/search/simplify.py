@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import (
     Scored,
     cost_of,
@@ -191,6 +192,11 @@ def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     gravity = best.model.mechanism.get("gravity", ())
     if not {"torque_gain", "inertia"} <= set(new) or not any(q.value for q in gravity):
         return best
+    # what two simulators differ by is no body: gain and body exchange exactly, but for this inertia
+    record = best.data.records[0][found.joint - 1]
+    least = SIGNIFICANT * INTEGRATION_ERROR * facts(record).inertia
+    if abs(new["inertia"].value("amount")) < least:
+        return best
     rest = tuple(t for t in best.model.terms if t is not new["inertia"])
     alone = _refitted(best.data, best.model.with_terms(rest), found.joint, jobs, 2)
     if alone.deviance < best.deviance + price((new["inertia"],), n):
@@ -346,7 +352,9 @@ def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
         bound and h.key in names
         for h, bound in zip(other.fit.handles, other.fit.at_bound, strict=True)
     )
-    told = other.deviance < best.deviance - math.log(max(n, 10))
+    # one block in which a model loses track, as at a start from rest, tells nothing of a number
+    gain = compare(best, other, best.data, found.joint).gain
+    told = gain > math.log(max(n, 10))
     return other if told and not at_bound else best
 
 

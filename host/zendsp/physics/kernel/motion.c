@@ -16,7 +16,7 @@ typedef struct { /* what is predicted, [LANES] each; pointers, so that the lanes
     double *q, *qd, *ql, *qdl;           /* motor and load */
     double *seen, *y;                    /* behind the filter; what the sensor says of it */
     double *z, *zh, *rub;                /* bristle, hysteresis, dry friction in the step before */
-    double *u, *a, *past, *tau;          /* command, behind a lag, its integral; torque */
+    double *u, *a, *past, *tau;          /* command, lagged torque, command's integral; torque */
     double *early;                       /* see drive */
     double *jm, *per_jm, *per_jl, *bias; /* of the sample: inertias, torque of the rigid body */
     double *load, *wave, *slope, *bend;  /* where a lane is wavy: the load's inertia; the error */

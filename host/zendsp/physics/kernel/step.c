@@ -55,15 +55,15 @@ INLINE void OF(drive)(const OF(task) *O, OF(motion) *X, double tl, int first)
         X->early[l] = within ? 0.5 * N->gain[l] * (h * then - until * (next - X->past[l])) : 0.0;
         X->past[l] = next;
     }
-    if (O->hidden && N->lag_on)
-        EACH {
-            double before = first ? X->u[l] : X->a[l], held = X->u[l];
-            X->u[l] = held + (before - held) * X->mean[l];
-            X->a[l] = held + (before - held) * X->ex[l];
-            X->early[l] += N->gain[l] * (before - held) * N->lag[l] * h *
-                           (0.5 * (1 + X->ex[l]) - X->mean[l]);
-        }
     OF(act)(M, N, O->S, LANES_OF(u), (OF(lane) *)X->tau);
+    if (O->hidden && N->lag_on) /* a current loop or a winding: it is asked for what is left */
+        EACH {
+            double before = first ? X->tau[l] : X->a[l], held = X->tau[l];
+            X->tau[l] = held + (before - held) * X->mean[l];
+            X->a[l] = held + (before - held) * X->ex[l];
+            X->early[l] +=
+                (before - held) * N->lag[l] * h * (0.5 * (1 + X->ex[l]) - X->mean[l]);
+        }
 }
 
 /* The error of a transmission: the load turns by slope for each turn of the motor. */

@@ -55,7 +55,7 @@ typedef struct sim_joint { /* what the effects of site "setup" set, and states *
     int two_mass, lag_on;
     int motor;          /* degree of freedom on the motor side; the joint's own where it is rigid */
     double j_motor;     /* inertia on the motor side of an elastic joint */
-    double z, hyst, a;  /* bristle, hysteresis, lagged command */
+    double z, hyst, a;  /* bristle, hysteresis, lagged torque */
     double u, tau;      /* command and torque in this step */
     double load;        /* what of it reached the load in the step before */
 } sim_joint;

@@ -227,13 +227,14 @@ static void inner_step(sim *S, double tl, double h) {
         sim_joint *j = &S->j[i];
         double u = j->delay == 0 ? S->held[i]
                                  : (cum(S, i, tl + h - j->delay) - cum(S, i, tl - j->delay)) / h;
-        if (j->lag_on) {
-            const double ex = exp(-h / j->lag), mean = u + (j->a - u) * (j->lag / h) * (1 - ex);
-            j->a = u + (j->a - u) * ex;
-            u = mean;
-        }
         j->u = u;
-        j->tau = act(S, i, u, tl + 0.5 * h);
+        double tau = act(S, i, u, tl + 0.5 * h);
+        if (j->lag_on) { /* a current loop or a winding: it is asked for what the drive gives */
+            const double ex = exp(-h / j->lag), asked = tau;
+            tau = asked + (j->a - asked) * (j->lag / h) * (1 - ex);
+            j->a = asked + (j->a - asked) * ex;
+        }
+        j->tau = tau;
     }
     double M[SIM_MAX * SIM_MAX], xm[SIM_DOF], vm[SIM_DOF], vn[SIM_DOF], y[SIM_MAX], slope[SIM_MAX],
         bend[SIM_MAX], from[SIM_MAX], unused;
