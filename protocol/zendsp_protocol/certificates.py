@@ -18,13 +18,27 @@ def decoded(path: str) -> dict[str, Any]:
 
 
 def ended(path: str) -> str:
-    """Return the day on which a certificate ended; empty where it is still good."""
-    until = decoded(path).get("notAfter")
+    """Return the day on which a certificate ended; empty where it has not."""
+    end = _seconds(path, "notAfter")
+    return _day(end) if end is not None and end < time.time() else ""
+
+
+def begins(path: str) -> str:
+    """Return the day on which a certificate begins; empty where it has begun."""
+    begin = _seconds(path, "notBefore")
+    return _day(begin) if begin is not None and begin > time.time() else ""
+
+
+def _seconds(path: str, field: str) -> float | None:
+    stated = decoded(path).get(field)
     try:
-        seconds = ssl.cert_time_to_seconds(until) if until else float("inf")
+        return ssl.cert_time_to_seconds(stated) if stated else None
     except ValueError:
-        return ""
-    return time.strftime("%Y-%m-%d", time.gmtime(seconds)) if seconds < time.time() else ""
+        return None
+
+
+def _day(seconds: float) -> str:
+    return time.strftime("%Y-%m-%d", time.gmtime(seconds))
 
 
 def unfit(certificate: str, key: str) -> bool:

@@ -296,6 +296,20 @@ def test_a_target_that_was_started_again_is_found_again(start: Callable[..., Tar
         until(lambda: view.received > 0, "the live view goes on")
 
 
+def test_a_live_view_ends_though_its_target_was_started_again_without_a_program(
+    start: Callable[..., Target]
+) -> None:
+    """A bridge had died of it: zenoh.ZError, undeclared subscriber."""
+    first = start(clock="fast", name="phoenix")
+    with zendsp.connect("phoenix") as host:
+        first.download("pd.c")
+        view = host.live(["tick"])
+        first.close()
+        start(clock="fast", name="phoenix")
+        host.reconnect()
+        view.close()
+
+
 def test_a_stream_whose_viewer_never_said_goodbye_is_closed(fast: Target) -> None:
     fast.download("pd.c")
     by = "a client without a token"

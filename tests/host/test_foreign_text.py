@@ -62,6 +62,32 @@ def test_day_first_dates_are_read_and_ambiguous_ones_are_reported(
             np.testing.assert_allclose(table["q"], [0.1, 0.2, 0.3])
 
 
+def test_a_day_and_a_time_of_day_in_columns_of_their_own_are_a_time(tmp_path: Path) -> None:
+    """The points of the day had made all decimal commas text; and the log goes on past midnight."""
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "Datum;Uhrzeit;Azimut [°];M [Nm]\n03.11.2026;23:59:59,990;180,0;-1,5\n"
+        "04.11.2026;00:00:00,000;90,0;2,25\n04.11.2026;00:00:00,010;0,0;3,0\n"
+    )
+    table = read_table(path)
+    assert list(table.columns) == ["Uhrzeit", "Azimut", "M"]
+    np.testing.assert_allclose(table["Azimut"], [np.pi, np.pi / 2, 0.0])
+    np.testing.assert_allclose(Recording.load(path).t, [0.0, 0.01, 0.02], atol=1e-9)
+    assert "Datum: left out, it holds dates without a time of day" in table.notes
+
+
+@pytest.mark.parametrize("parts", ["header.stamp.sec,header.stamp.nanosec", "secs,nsecs"])
+def test_a_stamp_of_ros_in_two_columns_is_one_time(tmp_path: Path, parts: str) -> None:
+    """It had been taken for a time with too few digits."""
+    path = tmp_path / "bag.csv"
+    path.write_text(
+        f"{parts},position[0],effort[0]\n1762178707,990000000,0.1,1\n1762178708,0,0.2,2\n"
+    )
+    recording = Recording.load(path)
+    np.testing.assert_allclose(recording.t, [0.99, 1.0], atol=1e-9)
+    assert not any("sec" in name for name in recording.columns)
+
+
 def test_units_in_headers_rows_of_units_and_names(tmp_path: Path) -> None:
     (tmp_path / "header.csv").write_text("t [ms],q [deg],u [mN m]\n0,180,1000\n1,90,500\n")
     (tmp_path / "row.tsv").write_text(

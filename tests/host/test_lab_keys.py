@@ -160,7 +160,7 @@ def test_nobody_is_made_present_or_absent_by_another(lab: Lab, start: Open) -> N
         assert good.link.author in good.status().hosts
 
 
-@pytest.mark.parametrize("what", ["another authority", "over", "a target's"])
+@pytest.mark.parametrize("what", ["another authority", "over", "to come", "a target's"])
 def test_a_certificate_that_does_not_fit_opens_nothing(
     lab: Lab, start: Open, tmp_path: Path, what: str
 ) -> None:
@@ -171,12 +171,14 @@ def test_a_certificate_that_does_not_fit_opens_nothing(
     if what == "another authority":
         foreign = Lab.create(tmp_path / "other").add_user("anna", "download")
         bad = Holder("anna", "user", "", foreign.until, foreign.certificate, foreign.key)
-    elif what == "over":
+    elif what in ("over", "to come"):
         bad = lab.add_user("anna", "download", renew=True)
-        _end(lab, bad)
+        _end(lab, bad, timedelta(days=3) if what == "to come" else timedelta())
     else:
         bad = target
-    words = "anna.pem ended on 20.*--renew" if what == "over" else "refuses the certif|no target"
+    words = {
+        "over": "anna.pem ended on 20.*--renew", "to come": "anna.pem begins on 20.*clock",
+    }.get(what, "refuses the certif|no target")
     with pytest.raises(LinkError, match=words):
         enter(monitor, lab, bad, 1.5)
     if what == "over":
@@ -186,13 +188,13 @@ def test_a_certificate_that_does_not_fit_opens_nothing(
             enter(monitor, lab, unfit, 1.5)
 
 
-def _end(lab: Lab, holder: Holder) -> None:
-    """Sign a certificate again, so that it ended an hour ago."""
+def _end(lab: Lab, holder: Holder, later: timedelta = timedelta()) -> None:
+    """Sign a certificate again, so that its two days ended an hour ago, or later."""
     from cryptography.hazmat.primitives import hashes, serialization
 
     old = x509.load_pem_x509_certificate(holder.certificate.read_bytes())
     signer = serialization.load_pem_private_key((lab.folder / "ca.key").read_bytes(), None)
-    now = datetime.now(UTC)
+    now = datetime.now(UTC) + later
     builder = (
         x509.CertificateBuilder()
         .subject_name(old.subject)
@@ -219,7 +221,10 @@ def test_a_persons_key_cannot_serve_as_a_target(lab: Lab, start: Open) -> None:
 
 @pytest.mark.parametrize(
     "broken",
-    ["certificate", "key", "authority", "another's key", "an empty authority", "one that ended"],
+    [
+        "certificate", "key", "authority", "another's key", "an empty authority", "one that ended",
+        "one to come",
+    ],
 )
 def test_a_target_does_not_start_with_files_that_do_not_fit(
     lab: Lab, runtime: Runtime, broken: str
@@ -234,13 +239,13 @@ def test_a_target_does_not_start_with_files_that_do_not_fit(
         files[broken] = str(lab.folder / "none.pem")
     elif broken == "another's key":
         files["key"] = str(other.key)
-    elif broken == "one that ended":
-        _end(lab, imi)
+    elif broken in ("one that ended", "one to come"):
+        _end(lab, imi, timedelta(days=3) if broken == "one to come" else timedelta())
     else:
         files["authority"] = str(empty)
     lab.add_user("anna", "tune")
     security = Security(**files, roles=str(lab.roles_file))
-    words = "none.pem.*cannot be read" if broken in files else "cannot listen|ended on 20"
+    words = "none.pem.*cannot be read" if broken in files else "cannot listen|(ended|begins) on 20"
     with pytest.raises((Refused, LinkError), match=words):
         Monitor(runtime, Options("fake", "imi_planar", ["tls/127.0.0.1:0"], (), security))
 

@@ -59,6 +59,14 @@ def test_nothing_is_saved_beyond_a_limit_and_the_error_names_it(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_move_of_one_sample_is_no_step() -> None:
+    """1 rad in 1 ms had been within the limits, where 2 ms were not."""
+    arm = load_machine("imi_planar")
+    with pytest.raises(ReferenceError_, match=r"joint 1: speed 1000 rad/s at t = 0\.001 s"):
+        arm.check(make_reference("point_to_point", arm, duration=0.001))
+    arm.check(make_reference("step", arm))
+
+
 def test_torque_of_a_motion_is_limited_though_it_has_no_feed_forward() -> None:
     fast = np.zeros((10, 2))
     # rad/s^2, below the limit of acceleration; 3.957 kg m^2 · 54 + nothing = 213.7 N m on joint 1

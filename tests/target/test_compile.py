@@ -23,6 +23,13 @@ from zendsp_target.runtime.process.settings import Settings, split_options
 HEAD = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
 
 
+def test_a_program_without_the_header_is_told_so_and_nothing_else() -> None:
+    """Four warnings and three errors of the linker had not named it."""
+    source = 'static double q;\nvoid UserInit(void) { SIGNAL(q, "", ""); }\n'
+    said = compile_program({"a.c": source + "void UserISR_INT2(void) { }\n"}).diagnostics
+    assert [(d.line, 'include "isr.h"' in d.message) for d in said] == [(1, True)]
+
+
 @pytest.mark.parametrize(
     ("end", "column"),
     [("", 21), ("  // of the angle", 21), (' /* of "it" */\n\n', 21)],

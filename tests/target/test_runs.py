@@ -11,6 +11,7 @@ from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, VariableError
 from zendsp_target.runtime import Runtime
 from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.guard import COMMANDING, Guard
 from zendsp_target.serving.runs import MOST, Runs
 
 PROGRAM = """
@@ -42,6 +43,32 @@ def test_nobody_ends_the_run_of_another_or_keeps_others_from_theirs(
     runs.do_run_end(verbs.RunEnd(run=number), "anna")
     run(runtime, 3)
     assert runtime.read(["k"])[1] == {"k": 1.0}
+
+
+def test_a_run_ends_where_another_commands_and_its_host_may_leave_then(
+    make_runtime: Callable[..., Runtime]
+) -> None:
+    """The end had been refused: the run stayed open, and when its host left, the program that the
+    other one had started meanwhile was stopped as "host lost".
+    """
+    runtime = make_runtime(PROGRAM)
+    drives = Drives(runtime)
+    runs = Runs(runtime, drives)
+    handlers = dict.fromkeys((*COMMANDING, "run_end"), runs.do_run_end)
+    Guard(drives).enter(handlers)
+    number = runs.do_run_begin(verbs.RunBegin(names=("k",), moves=True), "anna").run
+    runtime.write({"k": 5.0}, "anna")
+    run(runtime, 3)
+    drives.act(verbs.Drive(action="take"), "bob")
+    with pytest.raises(Refused, match="bob has the exclusive right"):
+        handlers["run_end"](verbs.RunEnd(run=number), "anna")
+    assert drives.status().moved_by == ""
+    drives.act(verbs.Drive(action="release"), "bob")
+    runtime.write({"k": 7.0}, "bob")
+    run(runtime, 3)
+    runs.host_gone("anna")
+    assert runtime.read(["k"])[1] == {"k": 7.0}
+    assert runtime.status().trip is None
 
 
 OWN = """

@@ -57,14 +57,13 @@ def out_there(target: Target) -> bool:
     return min(abs(target["q1"]), abs(target["q2"])) > FAR
 
 
-@pytest.mark.parametrize("how", ["complete", "aborted", "stopped"])
+@pytest.mark.parametrize("how", ["complete", "aborted", "stopped", "paused"])
 def test_a_run_leaves_the_parameters_as_they_were(how: str, arm: Target, tmp_path: Path) -> None:
     motion = make_reference("point_to_point", "imi_planar", start=0.0, goal=0.6, duration=1.0)
     job = started(arm, tmp_path, motion, go_home=False)
     if how != "complete":
         wait_for(lambda: not job.busy or out_there(arm), "far out")
-        end = job.abort if how == "aborted" else arm.stop
-        end()
+        {"aborted": job.abort, "stopped": arm.stop, "paused": arm.pause}[how]()
     run = job.result.result(PATIENCE_S)
     if how == "stopped":
         arm.acknowledge()

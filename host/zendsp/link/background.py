@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import os
 import sys
 import threading
@@ -59,7 +60,8 @@ class Listener:
 
     def undeclare(self) -> None:
         """End the subscription."""
-        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        with contextlib.suppress(zenoh.ZError):  # gone with its session, as after an outage
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 def _pull(samples: Any, take: Callable[[zenoh.Sample], None]) -> None:

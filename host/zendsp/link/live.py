@@ -151,8 +151,7 @@ class LiveView:
             return
         try:
             if self._subscriber is not None:
-                with contextlib.suppress(zenoh.ZError):  # its session may be gone
-                    self._subscriber.undeclare()
+                self._subscriber.undeclare()
             self._open()
         except ZendspError:
             return  # the target lives but has no such program now; the view stays silent

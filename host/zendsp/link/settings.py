@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import zenoh
 
 from zendsp.errors import LinkError
-from zendsp_protocol.certificates import decoded, ended, unfit
+from zendsp_protocol.certificates import begins, decoded, ended, unfit
 
 LEASE_MS = 1000  # a dead target is noticed within this time; the default of 10 s would hide it
 
@@ -145,6 +145,8 @@ def doubts(credentials: Credentials) -> str:
     ):
         if file and (day := ended(file)):
             return f"the {what} {file} ended on {day}: {renewed} makes another"
+        if file and (day := begins(file)):
+            return f"the {what} {file} begins on {day} only: set this computer's clock"
     if credentials.certificate and unfit(credentials.certificate, credentials.key):
         return f"the key {credentials.key} does not belong to {credentials.certificate}"
     return ""

@@ -43,6 +43,8 @@ WORDS = {
     Role.CURRENT: {"i", "iq", "current", "currents", "amps", "strom"},
     Role.TEMPERATURE: {"temp", "temperature", "temperatur", "celsius"},
 }
+# of time only where the reader of the file has made seconds of them
+DATES = {"date", "datetime", "datum", "uhrzeit"}
 MEASURED = {"meas", "measured", "actual", "sensor", "sensed"}
 ACCELERATION = {"qdd", "ddq", "acc", "acceleration", "accel", "beschleunigung"}
 # what a loop is off by, as wide as a position and in its unit
@@ -86,6 +88,8 @@ def role_of(name: str, unit: str = "") -> Role:
     if words & (ACCELERATION | ERROR) or (words & WORDS[Role.VELOCITY] and asked):
         return Role.NONE
     found = _by_words(words)
+    if found is Role.NONE and si == "s" and words & DATES:
+        return Role.TIME
     if found is Role.NONE or (si and si not in ALLOWED.get(found, {si})):
         by_unit = UNITS.get(si, Role.NONE)
         return (

@@ -116,6 +116,7 @@ class Violation:
 # A limit that is met exactly, as a trapezoid does at its cruise speed, must not fail by the last
 # bit of a sum.
 ROUNDING = 1e-9
+MAY_JUMP = ("step", "user", "from_file")  # kinds whose position is meant to, or may be
 
 
 def _worst(
@@ -136,6 +137,15 @@ def _worst(
                 )
             )
     return found
+
+
+def _speed(reference: Reference) -> Array:
+    """The speed of every row; of a motion that stands in its rows and moves between them, since
+    they are too far apart for it, the mean speed since the row before: it moves as fast somewhere.
+    """
+    if not reference.jumps or reference.kind in MAY_JUMP:
+        return reference.qd
+    return np.diff(reference.q, axis=0, prepend=reference.q[:1]) / reference.sample_time
 
 
 def find_violations(
@@ -177,7 +187,7 @@ def find_violations(
     torque = reference.tau if tau is None else tau
     u, t = reference.unit, reference.t
     found = _worst("position", u, reference.q, limits.position_min, limits.position_max, t)
-    found += _worst("speed", f"{u}/s", reference.qd, -limits.speed, limits.speed, t)
+    found += _worst("speed", f"{u}/s", _speed(reference), -limits.speed, limits.speed, t)
     found += _worst(
         "acceleration", f"{u}/s^2", reference.qdd, -limits.acceleration, limits.acceleration, t
     )

@@ -173,10 +173,10 @@ class PlayJob(Job[Run | None]):
                 return Outcome.STOPPED, ""
             if s.crash or s.state == ProgramState.CRASHED:
                 return Outcome.CRASHED, s.crash
-            if t >= total - lead or (s.state == ProgramState.PAUSED and t > 0.0):
+            if t >= total - lead - 0.5 / s.rate_hz:  # half a sample: of rounding
                 return Outcome.COMPLETE, ""
             if s.state == ProgramState.PAUSED:
-                return Outcome.PAUSED, ""
+                return Outcome.PAUSED, f"at {self.progress.share:.0%} of it"
             if self._abort.wait(LOOK_S):
                 self._come_to_rest(port, plan.player, s.clock)
                 return Outcome.ABORTED, ""

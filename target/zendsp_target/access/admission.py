@@ -17,7 +17,7 @@ from pathlib import Path
 
 from zendsp_isr.confine import landlock_version
 from zendsp_protocol import keys, registry
-from zendsp_protocol.certificates import ended
+from zendsp_protocol.certificates import begins, ended
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, Verb
 from zendsp_target.access.endpoints import Security, check, check_connect, is_local
@@ -219,6 +219,12 @@ def _check_files(security: Security) -> None:
                 f"--tls-{option} {file}: ended on {day}, so no host would come in, not even to"
                 f" stop: 'zendsp keys {'target' if option == 'cert' else 'init'}' makes another (or"
                 " is this computer's clock wrong?)"
+            )
+        if file and (day := begins(file)):
+            raise Refused(
+                f"--tls-{option} {file}: begins on {day} only, so no host would come in, not even"
+                " to stop: set this computer's clock (or the clock of the one that made it was"
+                " wrong)"
             )
     if security.key:
         check_secret("--tls-key", security.key)

@@ -63,6 +63,9 @@ def check_sources(sources: Mapping[str, str], flags: Sequence[str]) -> None:
             )
 
 
+_NO_HEADER = 'the program does not include "isr.h": begin it with #include "isr.h"'
+
+
 def _load_problem(path: Path) -> str:
     """Why the compiled program could not be loaded, in a sentence; "" where it could. The file is
     read but not loaded: loading it would run its constructors here.
@@ -77,7 +80,7 @@ def _load_problem(path: Path) -> str:
         return f"the compiler made no shared object that can be read: {error}"
     missing = [name for name in _NEEDED if name not in found]
     if "zendsp_isr_abi" in missing:
-        return 'the program does not include "isr.h": begin it with #include "isr.h"'
+        return _NO_HEADER
     if missing:
         return (
             f"the program lacks {' and '.join(missing)}: see template.c for the sections of a"
@@ -122,12 +125,15 @@ def compile_program(
         Diagnostic(m.severity, _own(m.file), m.line, m.column, m.message) for m in built.messages
     ]
     ok = built.path is not None
+    first = next(name for name in sources if name.endswith(".c"))
+    if not ok and not any("isr.h" in text for text in sources.values()):
+        # of what the compiler says the most follows from this; the rest it says again
+        diagnostics = [Diagnostic(Severity.ERROR, first, 1, 0, _NO_HEADER)]
     if built.path is not None and not built.cached:
         problem = _load_problem(built.path)
         if problem:
             ok = False
             built.path.unlink(missing_ok=True)
-            first = next(name for name in sources if name.endswith(".c"))
             diagnostics.append(Diagnostic(Severity.ERROR, first, 0, 0, problem))
     return _result(built, ok, diagnostics)
 

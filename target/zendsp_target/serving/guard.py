@@ -20,10 +20,9 @@ Handler = Callable[[Any, str], Any]
 COMMANDING = (
     "start", "pause", "load", "unload", "write", "update", "table_commit", "set_limits",
     "set_drive", "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "run_begin",
-    "run_end",
 )
 # those of them that only change values
-CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
+CHANGES = ("write", "update", "table_commit", "run_begin")
 # fields of other requests after which the loss of the host matters
 WATCHED = {"start": "attended", "run_begin": "moves"}
 SEEN_S = 1.0  # for the token of a host to arrive after its first request

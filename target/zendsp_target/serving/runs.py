@@ -74,12 +74,17 @@ class Runs:
         return m.RunBegun(run=number, names=tuple(names), follows=follows)
 
     def do_run_end(self, args: verbs.RunEnd, by: str) -> m.Applied:
+        """End a run, also where another host commands: what it set then stays, which is refused
+        after it has ended, or the loss of its host would stop what the other one does.
+        """
         with self._lock:
             run = self._open.get(args.run)
             if run is not None and run.host != by:
                 raise Refused(f"run {args.run} is ended by its own host, {run.host}")
             self._open.pop(args.run, None)
             self._tell()
+        if self._drives.commander:
+            self._drives.check_right(by)
         sequence = self._put_back(run, by) if run is not None else 0
         return applied(self._runtime, sequence) if sequence else m.Applied(sequence=0, tick=0)
 

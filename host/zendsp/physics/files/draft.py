@@ -74,10 +74,11 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     bare = [name for name, values in table.columns.items() if not np.isfinite(values).any()]
     nothing = f"{', '.join(bare)} hold{'s' if len(bare) == 1 else ''} no finite number"
     if position is None:
+        said = "".join(f" ({note})" for note in table.notes if "left out" in note)
         raise RecordingError(
             f"{table.path}: no column looks like a position; it has {', '.join(table.columns)}"
-            + (f", of which {nothing}. " if bare else ". ")
-            + "Name one q, position or theta, or give its unit: 'x1 [rad]'"
+            + (f", of which {nothing}" if bare else "")
+            + f"{said}. Name one q, position or theta, or give its unit: 'x1 [rad]'"
         )
     joints = position.values.shape[1]
     known = machine if machine is not None and len(machine.joints) == joints else None

@@ -5,7 +5,8 @@ In a recording of zendsp the first line is a comment for people, and the last li
 holds the metadata; readers that know ``#`` skip both. The separator, ``,`` ``;`` or tab, is found
 from the header and may also end each line; where the header has none, blanks part the columns.
 ``;`` with decimal commas is understood. A column of dates or times of day (ISO 8601, or
-day.month.year) becomes seconds since its first; a column of words only is left out. The text is
+day.month.year) becomes seconds since its first; a column of words or days only is left out. The two
+columns of a ROS time stamp become one. The text is
 UTF-8, UTF-16 with its mark, or Windows-1252, as spreadsheets write. A file ``.gz`` is unpacked.
 """
 
@@ -39,10 +40,13 @@ PIECE = 1 << 26  # bytes that are unpacked at a time
 TITLE = "# A recording of zendsp"
 THOUSANDS = re.compile(r"(?<!\d)[1-9]\d{0,2}(\.\d{3})+,\d")  # 1.234,5: nothing else is written so
 NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
-# 01.02.2026 12:00:00: with points the day is first; 01/02/2026 may be both
-DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?=[ T]\d\d?:)")
+# 01.02.2026, perhaps with 12:00:00: with points the day is first; 01/02/2026 may be both
+DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?![\d.])")
 EITHER_FIRST = re.compile(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}\b")
 ISO = "2026-02-01 12:00:00.5"
+DAY_S = 86400.0
+# what ROS calls the whole seconds of a time stamp, and the rest beside them
+NANOSECONDS = {"sec": ("nanosec", "nsec"), "secs": ("nsecs", "nanosecs")}
 NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
 SHOWN = 40  # characters of a line in a message
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
@@ -103,7 +107,23 @@ def read(path: Path) -> Raw:
     if said := _unit_row(rows.partition("\n")[0], delimiter, len(names)):
         units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
         rows, first_line = rows.partition("\n")[2], first_line + 1
-    return _numbers(path, rows, Raw({}, units, {}, metadata), delimiter, first_line + 1)
+    return _stamped(_numbers(path, rows, Raw({}, units, {}, metadata), delimiter, first_line + 1))
+
+
+def _stamped(raw: Raw) -> Raw:
+    """One column of each time stamp of two: ``header.stamp.sec`` and ``header.stamp.nanosec``."""
+    columns, units, notes = dict(raw.columns), dict(raw.units), list(raw.notes)
+    for name in raw.columns:
+        last = next((w for w in NANOSECONDS if re.search(rf"(?<![a-z]){w}$", name)), "")
+        before = name.removesuffix(last)
+        rest = next((before + n for n in NANOSECONDS.get(last, ()) if before + n in columns), "")
+        stamp = before.rstrip("./_") or "stamp"
+        if rest and stamp not in columns:
+            whole = columns.pop(name)
+            columns = {stamp: whole - whole[:1] + 1e-9 * columns.pop(rest), **columns}
+            units[stamp] = "s"
+            notes.append(f"{stamp}: {name} and {rest}, since {whole[0]:.0f} s")
+    return replace(raw, columns=columns, units=units, notes=tuple(notes))
 
 
 def _by_blanks(header: str, row: str) -> list[str]:
@@ -263,6 +283,10 @@ def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
                 refused[name] = f"holds {what}" if date else "holds text and no numbers"
                 notes.append(f"{name}: left out, it holds {what}")
                 continue
+            if not any(":" in cell for cell in cells):
+                refused[name] = "holds dates without a time of day"
+                notes.append(f"{name}: left out, it holds dates without a time of day")
+                continue
             notes.append(f"{name}: seconds since {cells[0]}")
             columns[name], units[name] = seconds, "s"
         else:
@@ -273,11 +297,14 @@ def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
 
 
 def _seconds(cells: list[str]) -> FloatArray | None:
-    """Seconds since the first cell, of dates with a time or times of day; None for other cells."""
+    """Seconds since the first cell, of dates, or times of day, which go on past midnight; None for
+    other cells.
+    """
     day = "" if "-" in cells[0] else "1970-01-01 "
     try:
         times = [datetime.fromisoformat(day + cell) for cell in cells]
-        return np.array([(time - times[0]).total_seconds() for time in times])
+        seconds = np.array([(time - times[0]).total_seconds() for time in times])
+        return np.unwrap(seconds, period=DAY_S) if day else seconds
     except (ValueError, TypeError):
         return None
 
