@@ -145,6 +145,24 @@ def diagnose(
 
 def _diagnose(
     sources: tuple[list[Source], list[Source]],
+    given: Model,
+    seed: int,
+    jobs: int,
+    tell: Progress,
+    so_far: bool,
+) -> Diagnosis:
+    """The diagnosis; where joints have other zeros than the model's, made with these."""
+    begin = time.perf_counter()
+    try:
+        return _with_zeros_given(sources, given, seed, jobs, tell, so_far)
+    except OtherZero as other:
+        homed, sentence = _homed(sources, given, other, jobs, tell)
+    d = _diagnose(sources, homed, seed, jobs, tell, so_far)
+    return replace(d, zeros=(sentence, *d.zeros), seconds=time.perf_counter() - begin)
+
+
+def _with_zeros_given(
+    sources: tuple[list[Source], list[Source]],
     given_file: Model,
     seed: int,
     jobs: int,
@@ -154,13 +172,7 @@ def _diagnose(
     begin = time.perf_counter()
     given = kernel_model(given_file)
     signals, parts, notes = _ready(*sources, given, tell)
-    try:
-        found, stopped = _found(signals, parts, given, jobs, tell, so_far)
-    except OtherZero as other:
-        homed, sentence = _homed(sources, given_file, other, jobs, tell)
-        d = _diagnose(sources, homed, seed, jobs, tell, so_far)
-        seconds = time.perf_counter() - begin
-        return replace(d, zeros=(sentence, *d.zeros), seconds=seconds)
+    found, stopped = _found(signals, parts, given, jobs, tell, so_far)
     found, clocks = _by_one_clock(found)
     found, findings, refinements, rejected = _name(found, given)
     parts, decisions, whole = found.parts, found.decisions, found.whole
