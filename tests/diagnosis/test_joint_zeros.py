@@ -7,9 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_arms
+from plane_arms import plane_model, two_links
 from small_arms import Arm, recorded, searched, simulate
 
 import zendsp
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.search.bodies import find_bodies
 from zendsp.diagnosis.search.joint_zeros import OtherZero
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.model import Model
@@ -68,3 +72,18 @@ def model_with_friction(folder: Path) -> Path:
     path.write_text(path.read_text() + effects)
     assert load_model(path).joints == 3
     return path
+
+
+def test_of_a_plane_arm_the_zero_of_the_second_joint_shows_beside_numbers_that_are_off(
+    tmp_path: Path,
+) -> None:
+    model = plane_model()
+    data = []
+    for start in (0.0, 9.0):
+        c = two_links(start)
+        path = tmp_path / f"run{start:g}.npz"
+        np.savez(path, t=c["t"], q=c["q"] + np.array([0.3, 0.1]), u=c["u"])
+        data.append(prepare([read_signals(path, model)], model, 64.0))
+    with pytest.raises(OtherZero) as told:
+        find_bodies(*data, model, 1, lambda _text: None)
+    assert told.value.angles == {2: pytest.approx(-0.1, rel=0.2)}  # before it is refined

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import small_arms
 from acceptance import accepted
+from plane_arms import plane_model, two_links
 from small_arms import Arm
 
 from zendsp.diagnosis.data.checks import check_motion
@@ -17,7 +18,6 @@ from zendsp.diagnosis.data.order import check_order
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.errors import RecordingError
-from zendsp.physics.files.model_file import parse_model
 
 Columns = dict[str, np.ndarray]
 
@@ -101,21 +101,6 @@ def test_wrong_bodies_are_no_matter_of_the_columns(arm: Arm, tmp_path: Path) -> 
     accepted(paths[0], tmp_path / "model.toml")
 
 
-def two_links() -> Columns:
-    """A plane arm with p1, p2, p3 = 0.4, 0.09, 0.075 kg m² along a multisine, with dry friction."""
-    t = np.arange(0.0, 8.0, 0.002)
-    f, phase = np.array([[0.3, 0.7, 1.1], [0.4, 0.9, 1.3]]), np.array([[0, 1, 2], [2, 0, 1]])
-    w = 2 * np.pi * f[:, :, None]
-    turn = w * t + phase[:, :, None]
-    q, v = 0.3 * np.sin(turn).sum(1), 0.3 * (w * np.cos(turn)).sum(1)
-    a = -0.3 * (w**2 * np.sin(turn)).sum(1)
-    c, s = 0.075 * np.cos(q[1]), 0.075 * np.sin(q[1])
-    u1 = (0.4 + 2 * c) * a[0] + (0.09 + c) * a[1] - s * (2 * v[0] + v[1]) * v[1]
-    u2 = (0.09 + c) * a[0] + 0.09 * a[1] + s * v[0] ** 2
-    u = np.stack([u1, u2]) + np.array([[0.25], [0.12]]) * np.tanh(v / 0.01)
-    return {"t": t, "q": q.T, "u": u.T}
-
-
 LINK_ANGLES = "joint 2 counts from the base, not from joint 1"
 MIRRORED = (
     "joint 1 counts the other way than in the model (position and command), or joint 2 counts the"
@@ -137,14 +122,7 @@ def test_the_columns_of_a_plane_arm_are_checked_too(
     moved = change if words != LINK_ANGLES else np.eye(2)
     path = tmp_path / "run.npz"
     np.savez(path, t=c["t"], q=c["q"] @ change.T, u=c["u"] @ moved.T)
-    model = parse_model({
-        "name": "arm", "sample_time": 0.002,
-        "mechanism": {"kind": "planar2r", "parameters": {
-            "p1": {"value": 0.42}, "p2": {"value": 0.085}, "p3": {"value": 0.07},
-        }},
-        "sensor": {"position_resolution": 1e-4},
-        "columns": {"time": "t", "position": "q", "command": "u"},
-    })  # fmt: skip
+    model = plane_model()
     data = prepare([read_signals(path, model)], model, 64.0)
     if not words:
         check_order("run", data.records[0], model)

@@ -114,7 +114,10 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
     )
 
 
-def _torques(model: Model, states: Sequence[Array]) -> Array:
+def rigid_torques(model: Model, states: Sequence[Array]) -> Array:
+    """Torques of a model's rigid body, its gravity included, along the q, qd, qdd of each joint,
+    (joints, n); without rotors beside it.
+    """
     out = np.zeros((len(states), states[0].shape[1]))
     for i, basis in enumerate(bases(model, list(states))):
         for key, part in basis.items():
@@ -130,11 +133,11 @@ def rigid_body(slow: Slow, model: Model) -> tuple[Array, Array]:
     rest = np.zeros_like(slow.q)
     states = list(np.stack([slow.q, slow.qd, slow.qdd], axis=1))
     weight = (
-        _torques(model, list(np.stack([slow.q, rest, rest], axis=1)))
+        rigid_torques(model, list(np.stack([slow.q, rest, rest], axis=1)))
         if model.kind in TREES
         else rest
     )
-    rigid = _torques(model, states) - weight
+    rigid = rigid_torques(model, states) - weight
     for j in range(len(rigid)):
         rigid[j] += added_inertia(model, j + 1) * slow.qdd[j]
     return rigid, weight

@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.data.regression import rigid_torques
 from zendsp.diagnosis.search.body_hypotheses import (
     LIMITS,
     OWN_COLUMNS,
@@ -28,7 +29,7 @@ from zendsp.physics.calibration.predict import damping_along, response, run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Quantity, Term, per_joint
-from zendsp.physics.robots.bodies import Links, body_terms, change_of, turned_gravity
+from zendsp.physics.robots.bodies import STEP, Links, body_terms, change_of, turned_gravity
 
 Array = npt.NDArray[np.float64]
 # of the RMS speed: the friction that falls with the speed (Stribeck 1902) has fallen by then. Each
@@ -178,7 +179,7 @@ def _shared(
         tilt = Term("base_tilt", 1, {key: Quantity(1e-6)})
         out.append((turned_gravity(links.gravity, [tilt]) - links.gravity) / 1e-6 @ weight)
     out.append(links.gravity @ weight)
-    out += list(links.zeros(turns, body_terms(model))[joint])
+    out += list(by_zeros(links, model, turns)[joint])
     qdd = record.others[joint, 2]
     for key in calibrated(model):
         basis = record.basis.get(key)
@@ -187,6 +188,18 @@ def _shared(
         else:
             out.append(np.sin(record.motion.states[0]) if key == "gravity" else np.zeros(n))
     return out
+
+
+def by_zeros(links: Links, model: Model, at: Mapping[int, float]) -> Array:
+    """Torque at each joint for a zero of each that lies elsewhere, N m or N per rad,
+    (joints, joints, n). ``at``: for joints (from 1) where, rad; else next to the given one.
+    """
+    if model.kind != "planar2r":
+        return links.zeros(at, body_terms(model))
+    there, by = links.motion.copy(), at.get(2, STEP)
+    there[1, 0] += by
+    one, other = (rigid_torques(model, list(x)) for x in (links.motion, there))
+    return np.stack([0.0 * one, (other - one) / by], axis=1)
 
 
 class Layout:
@@ -235,7 +248,8 @@ class Layout:
         elif h.effect == "gravity_scale":
             x[:, self.scale] = values[0]
         elif h.effect == "zero":
-            x[:, [self.zero + joint - 1 for joint in turned_joints(h)]] = values
+            turned = [self.zero + joint - 1 for joint in turned_joints(h)]
+            x[:, [*turned, *range(self.mechanism, self.own)]] = values
         elif h.effect == "calibration":
             x[:, self.mechanism : self.own] = values
         elif h.effect == "torque_gain":

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.search.body_hypotheses import LIMITS, BodyLimits, Hypothesis
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, BodyLimits, Hypothesis, turned_joints
 from zendsp.diagnosis.search.body_solver import Solver
 
 Array = npt.NDArray[np.float64]
@@ -76,6 +76,12 @@ def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[
         values = solver.estimate(h)
         if not solver.plausible(h, values):
             continue
+        std = solver.std(h, values)
+        turned = slice(len(turned_joints(h)))
+        if h.effect == "zero" and not np.any(
+            np.abs(values[turned]) > solver.limits.sure * std[turned]
+        ):  # what it explains is the calibration beside it
+            continue
         x = solver.at(h, values)
         gain = (none - solver.points(x)).sum(axis=1)
         share = np.where(np.isfinite(before), 1.0 - solver.squares(x) / before, 0.0)
@@ -83,7 +89,7 @@ def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[
             Explained(
                 h,
                 values,
-                solver.std(h, values),
+                std,
                 float(gain.sum()),
                 solver.better(x, nothing),
                 0.0,

@@ -4,6 +4,7 @@ and a cost.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,18 +135,23 @@ class Hypothesis:
         )
 
 
-def turned_joints(h: Hypothesis) -> list[int]:
-    """The joints (from 1) of which a hypothesis ``zero`` moves the zero, in the order of its
-    numbers.
-    """
-    return [int(key.removeprefix("angle")) for key in h.free]
-
-
 def calibrated(model: Model) -> tuple[str, ...]:
     """The mechanism parameters of a model that may be calibrated."""
     return tuple(
         key for key, items in model.mechanism.items() if any(i.free and i.value for i in items)
     )
+
+
+def zeros(joints: Sequence[int], model: Model) -> Hypothesis:
+    """Other zeros of some joints (from 1), beside the mechanism's own free parameters."""
+    free = (*(f"zero{joint}" for joint in joints), *calibrated(model))
+    only = joints[0] if len(joints) == 1 else 0
+    return Hypothesis("zero", only, "", free, COST["zero"] + len(joints) - 1)
+
+
+def turned_joints(h: Hypothesis) -> list[int]:
+    """The joints (from 1) of which a hypothesis moves the zero: its first numbers."""
+    return [int(key.removeprefix("zero")) for key in h.free if key.startswith("zero")]
 
 
 # for each coordinate of a link's centre, those of its ten ``NUMBERS`` that contain it
@@ -206,11 +212,9 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     if keys := calibrated(model):
         out.append(Hypothesis("calibration", free=keys, cost=RARE))
     out.append(Hypothesis("torque_gain", free=("ratio",), cost=RARE))
-    turns = [(k + 1, f"angle{k + 1}") for k in links.turning]
-    out += [Hypothesis("zero", joint, "", (key,), COST["zero"]) for joint, key in turns]
-    if len(turns) > 1:
-        cost = COST["zero"] + len(turns)
-        out.append(Hypothesis("zero", free=tuple(key for _, key in turns), cost=cost))
+    turning = [k + 1 for k in ([1] if flat else links.turning)]
+    out += [zeros([joint], model) for joint in turning]
+    out += [zeros(turning, model)] if len(turning) > 1 else []
     for j in range(1, len(links.bodies) + 1):
         for effect, free in (
             ("torque_gain", ("ratio",)),

@@ -13,18 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.search.body_columns import Layout, Sums
+from zendsp.diagnosis.search.body_columns import Layout, Sums, by_zeros
 from zendsp.diagnosis.search.body_explain import Explained, clear, seen
 from zendsp.diagnosis.search.body_hypotheses import (
     LIMITS,
     BodyLimits,
-    Hypothesis,
     turned_joints,
+    zeros,
 )
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model, per_joint
-from zendsp.physics.robots.bodies import body_terms
 from zendsp.physics.term_numbers import kernel_model
 
 Array = npt.NDArray[np.float64]
@@ -48,7 +47,7 @@ def check_zero(data: Data, model: Model, best: Explained, limits: BodyLimits) ->
     if h.effect != "zero" or not (seen(best, limits) or clear(best, limits)):
         return
     sure = np.abs(best.values) > limits.sure * best.std
-    found = zip(turned_joints(h), best.values.tolist(), sure, strict=True)
+    found = zip(turned_joints(h), best.values.tolist(), sure, strict=False)  # beside calibration
     angles = {joint: angle for joint, angle, known in found if known}
     if angles and _weight(data, model, angles) > limits.least:
         raise OtherZero(angles, limits.bandwidth)
@@ -88,9 +87,9 @@ def _estimate(data: Data, model: Model, other: OtherZero, jobs: int) -> tuple[Ar
     limits = replace(LIMITS, bandwidth=other.bandwidth)
     sums = Sums(data, model, limits, jobs)
     solver = Solver(sums, sums, Layout(model, links), limits)
-    h = Hypothesis("zero", free=tuple(f"angle{joint}" for joint in other.angles))
-    values = solver.estimate(h)
-    return values, solver.std(h, values)
+    h = zeros(list(other.angles), model)
+    values, turned = solver.estimate(h), len(other.angles)
+    return values[:turned], solver.std(h, values)[:turned]
 
 
 def _weight(data: Data, model: Model, angles: Mapping[int, float]) -> float:
@@ -101,7 +100,7 @@ def _weight(data: Data, model: Model, angles: Mapping[int, float]) -> float:
     for rec in data.records:
         for j, record in enumerate(rec):
             assert record.links is not None
-            columns = record.links.zeros(angles, body_terms(model))[j]
+            columns = by_zeros(record.links, model, angles)[j]
             torque = sum(angle * columns[joint - 1] for joint, angle in angles.items())
             total[j] += float(np.sum(torque**2))
             scale[j] += record.scale.torque**2 * record.n
