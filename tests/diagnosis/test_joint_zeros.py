@@ -15,6 +15,7 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.search.bodies import find_bodies
 from zendsp.diagnosis.search.joint_zeros import OtherZero
+from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.model import Model
 
@@ -74,16 +75,24 @@ def model_with_friction(folder: Path) -> Path:
     return path
 
 
-def test_of_a_plane_arm_the_zero_of_the_second_joint_shows_beside_numbers_that_are_off(
-    tmp_path: Path,
-) -> None:
-    model = plane_model()
+def plane_runs(folder: Path, by: float) -> list[Data]:
+    """Two recordings of a plane arm whose second joint counts ``by`` rad more than it stands at."""
     data = []
     for start in (0.0, 9.0):
         c = two_links(start)
-        path = tmp_path / f"run{start:g}.npz"
-        np.savez(path, t=c["t"], q=c["q"] + np.array([0.3, 0.1]), u=c["u"])
-        data.append(prepare([read_signals(path, model)], model, 64.0))
+        path = folder / f"run{start:g}.npz"
+        np.savez(path, t=c["t"], q=c["q"] + np.array([0.3, by]), u=c["u"])
+        data.append(prepare([read_signals(path, plane_model())], plane_model(), 64.0))
+    return data
+
+
+def test_of_a_plane_arm_the_zero_of_the_second_joint_shows_beside_numbers_that_are_off(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(OtherZero) as told:
-        find_bodies(*data, model, 1, lambda _text: None)
+        find_bodies(*plane_runs(tmp_path, 0.1), plane_model(), 1, lambda _text: None)
     assert told.value.angles == {2: pytest.approx(-0.1, rel=0.2)}  # before it is refined
+
+
+def test_of_a_plane_arm_with_its_zero_right_none_is_taken(tmp_path: Path) -> None:
+    find_bodies(*plane_runs(tmp_path, 0.0), plane_model(), 1, lambda _text: None)  # raises nothing
