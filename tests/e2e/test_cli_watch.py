@@ -75,7 +75,7 @@ def test_watch_in_a_pipe_repeats_no_row_of_a_program_that_is_paused(target: Targ
         assert process.stdout is not None and process.stderr is not None
         process.stdout.readline()
         target.pause()
-        assert "waiting for samples" in process.stderr.readline()
+        assert "waiting for samples: the program is paused" in process.stderr.readline()
         process.kill()
         times = [json.loads(line)["t"] for line in process.stdout.read().splitlines()]
     assert times == sorted(set(times)), "each row once"
@@ -89,7 +89,7 @@ def test_watch_says_at_once_what_stopped_the_program(target: Target) -> None:
     words = [*command, "watch", "q", "-t", target.name]
     with subprocess.Popen(words, stdout=-1, stderr=-1, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
-        assert "is the program running" in process.stderr.readline()
+        assert "the program is loaded" in process.stderr.readline()
         target.start()
         assert "q[0]" in process.stdout.readline()
         target.stop()

@@ -185,7 +185,7 @@ def test_points_beside_a_comma_within_a_text_stay_decimal_points(tmp_path: Path)
 @pytest.mark.parametrize("head", ["t q_deg i", "t [s] q [deg] i[A]", "  t   q_deg i  "])
 def test_blanks_part_columns_where_nothing_else_does(tmp_path: Path, head: str) -> None:
     """As halsampler of LinuxCNC, gnuplot and numpy.savetxt write them."""
-    path = tmp_path / "axis.txt"
+    path = tmp_path / "axis.log"
     path.write_text(f"{head}\n0.000  180 -0.5 \n0.001   90  0.25\n")
     table = read_table(path)
     time, q, i = (table[name] for name in table.columns)

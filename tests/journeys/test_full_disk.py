@@ -171,5 +171,5 @@ def test_a_closed_output_pipe_is_no_traceback(installed: Installed, command: lis
         text=True, timeout=PATIENCE_S, check=False,
     )
     # on a busy computer they come late
-    said = done.stderr.replace("waiting for samples: is the program running?\n", "")
+    said = done.stderr.replace("waiting for samples: the program runs\n", "")
     assert said == "", "who closes a pipe wants no more, not even a complaint"

@@ -13,6 +13,7 @@ import click
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.completing import variables
 from zendsp.cli.lines import fitted
+from zendsp_protocol.states import ProgramState
 from zendsp_protocol.views import short
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def command(
             last, came = newest["t"], now if new else came
             still = WAITS if now > came + ASK_S else ""  # an old row is no new line
             if not (new or rewrite):
-                waited = _say_once(still, waited)
+                waited = _say_once(t, still, waited)
                 continue
             waited = ""
             parts = [
@@ -107,11 +108,18 @@ def in_rows(parts: Sequence[str], width: int) -> list[str]:
     return [row[: width - 1] for row in rows]
 
 
-def _say_once(text: str, told: str) -> str:
+def _say_once(target: Target, text: str, told: str) -> str:
     """Say why no rows come, unless that was said already; return what was said."""
     if text and not told:
-        click.echo(f"{text}: is the program running?", err=True)
+        click.echo(_waiting(target), err=True)
     return text or told
+
+
+def _waiting(target: Target) -> str:
+    """That no rows come, and the state of the program, which may be why."""
+    state = target.status().state
+    why = f"the program is {state}" if state != ProgramState.RUNNING else "the program runs"
+    return f"{WAITS}: {why}"
 
 
 def _trouble(target: Target, told: str, begin: str = "") -> str:
@@ -130,6 +138,6 @@ def _first(target: Target, view: LiveView) -> dict[str, float]:
     while view.next_block(ASK_S) is None:
         told = _trouble(target, told)
         if not (told or waits):
-            click.echo(f"{WAITS}: is the program running?", err=True)
+            click.echo(_waiting(target), err=True)
             waits = True
     return view.latest()

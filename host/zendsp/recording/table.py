@@ -28,6 +28,7 @@ READERS = {  # suffix: module of zendsp.recording.formats
     ".csv": "csv",
     ".tsv": "csv",
     ".txt": "csv",
+    ".log": "csv",
     ".csv.gz": "csv",
     ".tsv.gz": "csv",
     ".mat": "mat",

@@ -73,7 +73,7 @@ class Workspace:
         """The files of recordings in this folder and in those directly below it, newest first;
         references and hidden folders are left out.
         """
-        kinds = tuple(kind for kind in READERS if kind != ".txt")  # most are no recordings
+        kinds = tuple(kind for kind in READERS if kind not in (".txt", ".log"))  # mostly others
         found = [p for depth in ("*", "*/*") for p in self.root.glob(depth)]
         files = [
             p
