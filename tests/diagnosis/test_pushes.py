@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +15,7 @@ import reality
 from reality import KNOWN
 
 from zendsp.diagnosis import Diagnosis, diagnose, machine
-from zendsp.diagnosis.decide import decide, pushes
+from zendsp.diagnosis.decide import decide, other_load, pushes
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.naming import _disturbance, at_once
 from zendsp.diagnosis.measure.bursts import Bursts
@@ -315,6 +315,16 @@ def test_a_load_that_only_the_held_out_recording_has_is_named(
     assert (found.effect, Path(name).name) == ("inertia", "run2.csv")
     assert abs(amount.value - (inertia - 0.010)) < 3.0 * amount.std < 0.0003
     assert d.test.improved < 0.2 * d.test.calibrated
+    assert found.confidence == other_load.CONFIDENCE
+
+
+def test_a_load_beside_which_much_stays_unexplained_is_less_sure(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = other_load.discrepancy
+    monkeypatch.setattr(other_load, "discrepancy", lambda *a: replace(left(*a), value=0.03))
+    (found,) = decided(reality.Machine(), reality.Machine(inertia=0.0107)).findings
+    assert 0.5 < found.confidence < other_load.CONFIDENCE
 
 
 def test_a_load_that_gravity_shows_too_is_a_payload(

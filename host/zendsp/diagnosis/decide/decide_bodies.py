@@ -17,7 +17,7 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed
-from zendsp.diagnosis.decide.confidence import SUREST
+from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import Further, Rejected, Verdict
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.decide.pieces import log_e_value
@@ -182,11 +182,11 @@ def _heard(
 
 def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float) -> BodyClaim:
     """The claim of a body; ``ratio`` says how much larger it is than what stays unexplained."""
-    sure = ratio**1.5 / (0.5 + ratio**1.5)
+    sure = sure_by(ratio)
     if found.indistinguishable:
         sure *= _shared(len(found.indistinguishable))
     sizes = {joint: h.size for joint, h in heard.items()}
-    return BodyClaim(found, sizes, gain, float(min(SUREST, max(0.05, sure))))
+    return BodyClaim(found, sizes, gain, max(0.05, sure))
 
 
 def beside_bodies(
