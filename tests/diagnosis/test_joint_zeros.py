@@ -11,10 +11,13 @@ from plane_arms import plane_model, two_links
 from small_arms import Arm, recorded, searched, simulate
 
 import zendsp
+from zendsp.diagnosis import engine
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.search.bodies import find_bodies
 from zendsp.diagnosis.search.joint_zeros import OtherZero
+from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.model import Model
@@ -49,6 +52,23 @@ def test_the_last_links_centre_across_it_may_be_the_joints_zero(tmp_path: Path) 
     (found,) = searched(homed_elsewhere(tmp_path, 0.0, 0.0, 0.1)).found
     assert (found.term.effect, found.body) == ("body", "fore")
     assert "another zero of joint 3" in found.indistinguishable
+    claim = BodyClaim(found, {3: 1.0}, 1.0, 0.7)
+    said = body_finding(claim, 1.0, load_model(tmp_path / "model.toml"))
+    assert "another zero of joint 3" in said.sentence
+    assert not [name for name in said.indistinguishable if "zero" in name], "effects alone"
+
+
+def test_zeros_that_do_not_settle_end_with_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def again(*_: object) -> None:
+        raise OtherZero({2: 0.1}, 64.0)
+
+    recorded(tmp_path, "arm", Arm(), friction=True)
+    monkeypatch.setattr(engine, "_with_zeros_given", again)
+    monkeypatch.setattr(engine, "_homed", lambda _, model, *__: (model, ""))
+    with pytest.raises(RecordingError, match=r"joint 2: another zero .* after 3 estimates"):
+        zendsp.diagnose(str(tmp_path / "arm1.npz"), tmp_path / "model.toml", jobs=1)
 
 
 def test_a_diagnosis_is_made_with_the_zeros_that_the_recordings_have(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from zendsp.diagnosis.data.split import halves, read_divided
 from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.clocks import apart_in_time
-from zendsp.diagnosis.decide.contract import Rejected, Verdict
+from zendsp.diagnosis.decide.contract import Rejected, Verdict, listed
 from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
@@ -58,6 +58,7 @@ from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
 from zendsp.diagnosis.transmission.torque_sensor import sided
+from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import CALLED, Model
@@ -150,14 +151,22 @@ def _diagnose(
     jobs: int,
     tell: Progress,
     so_far: bool,
+    homings: int = 0,
 ) -> Diagnosis:
-    """The diagnosis; where joints have other zeros than the model's, made with these."""
+    """The diagnosis; where joints have other zeros than the model's, made with these. ``homings``:
+    how often that was done by now.
+    """
     begin = time.perf_counter()
     try:
         return _with_zeros_given(sources, given, seed, jobs, tell, so_far)
     except OtherZero as other:
+        if homings == given.joints:
+            raise RecordingError(
+                f"{listed(other.angles)}: another zero explains the recordings again after"
+                f" {homings} estimates of it: check [sensor] offset and the columns of the model"
+            ) from None
         homed, sentence = _homed(sources, given, other, jobs, tell)
-    d = _diagnose(sources, homed, seed, jobs, tell, so_far)
+    d = _diagnose(sources, homed, seed, jobs, tell, so_far, homings + 1)
     return replace(d, zeros=(sentence, *d.zeros), seconds=time.perf_counter() - begin)
 
 

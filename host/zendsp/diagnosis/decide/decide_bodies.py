@@ -441,7 +441,7 @@ def _effects(words: Sequence[str], own: str) -> tuple[str, ...]:
     """The effect names of hypotheses in words ("payload of link3"), each once; the same effect of
     another link with its link. The sentence has all links, and the rivals that are no effects.
     """
-    named = ((w, w.split(" of ")[0]) for w in words if w not in IN_WORDS)
-    effects = (w if effect == own else effect for w, effect in named)
+    named = ((w, w.split(" of ")[0]) for w in words)
+    effects = (w if effect == own else effect for w, effect in named if effect in library())
     strength = ("gravity",) if "gravity_scale" in words else ()
     return tuple(dict.fromkeys((*effects, *strength)))
