@@ -26,12 +26,12 @@ SUREST = 0.97  # of 114 findings with 0.9 and more, on makers left out, 97 % wer
 FINEST_KNOWN = 1e-4  # of the RMS torque: no discrepancy is known to be smaller
 
 
-def sure_by(ratio: float) -> float:
-    """The probability that a body is one, by how much larger its torque is than what stays
-    unexplained at the joints that bear it.
+def sure_by(size: float, left: float) -> float:
+    """The probability that a body or a transmission is one, by its size and by what stays
+    unexplained beside it, in the same unit; one of them is above 0.
     """
-    larger = math.pow(ratio, 1.5)
-    return min(SUREST, larger / (0.5 + larger))
+    larger = math.pow(size, 1.5)
+    return min(SUREST, larger / (larger + 0.5 * math.pow(left, 1.5)))
 
 
 def stated(claim: Claim, decision: Decision) -> bool:

@@ -182,7 +182,7 @@ def _heard(
 
 def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float) -> BodyClaim:
     """The claim of a body; ``ratio`` says how much larger it is than what stays unexplained."""
-    sure = sure_by(ratio)
+    sure = sure_by(ratio, 1.0)
     if found.indistinguishable:
         sure *= _shared(len(found.indistinguishable))
     sizes = {joint: h.size for joint, h in heard.items()}

@@ -26,7 +26,7 @@ APART = 10.0
 # of the travel: a joint that returns by less moves one way; and s of motion, below which a
 # recording is short. Where the model does not follow, the user is told so
 ONE_WAY, SHORT = 0.05, 5.0
-AHEAD = 0.1  # ms: fits of friction that has no lead ended at 0 to 0.11
+AHEAD = 0.2  # ms: fits of friction that has no lead ended at 0 to 0.11
 SLOW_ROWS = 0.004  # s: loops are seldom slower
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.absorbed import point_of
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.confidence import FINEST_KNOWN, sure_by
+from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, SURE, TOLERANCE
@@ -73,7 +73,7 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
         effect,
         joint,
         body,
-        min(CONFIDENCE, sure_by(size / max(after.value, FINEST_KNOWN))),
+        min(CONFIDENCE, sure_by(size, after.value)),
         1.0,
         (),
         (),

@@ -29,7 +29,8 @@ from zendsp.physics.calibration.predict import damping_along, response, run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Quantity, Term, per_joint
-from zendsp.physics.robots.bodies import STEP, Links, body_terms, change_of, turned_gravity
+from zendsp.physics.robots.bodies import Links, body_terms, change_of, turned_gravity
+from zendsp.physics.robots.rigid import SMALL
 
 Array = npt.NDArray[np.float64]
 # of the RMS speed: the friction that falls with the speed (Stribeck 1902) has fallen by then. Each
@@ -196,7 +197,7 @@ def by_zeros(links: Links, model: Model, at: Mapping[int, float]) -> Array:
     """
     if model.kind != "planar2r":
         return links.zeros(at, body_terms(model))
-    there, by = links.motion.copy(), at.get(2, STEP)
+    there, by = links.motion.copy(), at.get(2, SMALL)
     there[1, 0] += by
     one, other = (rigid_torques(model, list(x)) for x in (links.motion, there))
     return np.stack([0.0 * one, (other - one) / by], axis=1)

@@ -4,7 +4,7 @@ and how much of the torque they are.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,9 @@ from zendsp.diagnosis.search.body_explain import Explained
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, BodyLimits, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model, Term
+from zendsp.physics.robots.bodies import Links
 
 Array = npt.NDArray[np.float64]
 
@@ -201,12 +203,20 @@ def weight_of(data: Data, layout: Layout, e: Explained) -> float:
 def weights_of(data: Data, layout: Layout, h: Hypothesis, values: Array) -> Array:
     """RMS torque of a body at each joint, as a part of the joint's RMS torque, (joints,)."""
     term = layout.term(h, values)
-    total, scale = np.zeros(layout.joints), np.zeros(layout.joints)
+
+    def torque(links: Links, record: JointRecord) -> Array:
+        change = links.change([term], record.joint - 1)
+        return np.asarray(change.bias + change.inertia * record.others[record.joint - 1, 2])
+
+    return weights_by(data, torque)
+
+
+def weights_by(data: Data, torque: Callable[[Links, JointRecord], Array]) -> Array:
+    """RMS of a torque (n,) at each joint, as a part of the joint's RMS torque, (joints,)."""
+    total, scale = np.zeros((2, len(data.records[0])))
     for rec in data.records:
         for j, record in enumerate(rec):
             assert record.links is not None
-            change = record.links.change([term], j)
-            torque = change.bias + change.inertia * record.others[j, 2]
-            total[j] += float(torque @ torque)
+            total[j] += float(np.sum(torque(record.links, record) ** 2))
             scale[j] += record.scale.torque**2 * record.n
     return np.asarray(np.sqrt(total / np.maximum(scale, 1e-300)))

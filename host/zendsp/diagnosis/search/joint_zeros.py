@@ -7,7 +7,7 @@ calibration: it is estimated, and the diagnosis is made with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,9 +21,12 @@ from zendsp.diagnosis.search.body_hypotheses import (
     turned_joints,
     zeros,
 )
+from zendsp.diagnosis.search.body_numbers import weights_by
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model, per_joint
+from zendsp.physics.robots.bodies import Links
 from zendsp.physics.term_numbers import kernel_model
 
 Array = npt.NDArray[np.float64]
@@ -49,7 +52,12 @@ def check_zero(data: Data, model: Model, best: Explained, limits: BodyLimits) ->
     sure = np.abs(best.values) > limits.sure * best.std
     found = zip(turned_joints(h), best.values.tolist(), sure, strict=False)  # beside calibration
     angles = {joint: angle for joint, angle, known in found if known}
-    if angles and _weight(data, model, angles) > limits.least:
+
+    def torque(links: Links, record: JointRecord) -> Array:
+        columns = by_zeros(links, model, angles)[record.joint - 1]
+        return np.asarray(sum(angle * columns[joint - 1] for joint, angle in angles.items()))
+
+    if angles and np.max(weights_by(data, torque)) > limits.least:
         raise OtherZero(angles, limits.bandwidth)
 
 
@@ -90,18 +98,3 @@ def _estimate(data: Data, model: Model, other: OtherZero, jobs: int) -> tuple[Ar
     h = zeros(list(other.angles), model)
     values, turned = solver.estimate(h), len(other.angles)
     return values[:turned], solver.std(h, values)[:turned]
-
-
-def _weight(data: Data, model: Model, angles: Mapping[int, float]) -> float:
-    """RMS torque of other zeros at the joint where it is the largest part of the joint's RMS
-    torque, as that part.
-    """
-    total, scale = np.zeros(model.joints), np.zeros(model.joints)
-    for rec in data.records:
-        for j, record in enumerate(rec):
-            assert record.links is not None
-            columns = by_zeros(record.links, model, angles)[j]
-            torque = sum(angle * columns[joint - 1] for joint, angle in angles.items())
-            total[j] += float(np.sum(torque**2))
-            scale[j] += record.scale.torque**2 * record.n
-    return float(np.max(np.sqrt(total / np.maximum(scale, 1e-300))))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.confidence import SUREST
+from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import DetailsReport
 from zendsp.diagnosis.decide.findings import sentence
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
@@ -54,11 +54,6 @@ def load_behind(model: Model, inertia: float, motor: Motor) -> tuple[float, floa
     if has_bodies(model):
         return 0.0, 0.0
     return max(inertia - motor.inertia, 0.02 * inertia), math.hypot(motor.std, TOLERANCE * inertia)
-
-
-def _sure(claim: Claim) -> float:
-    size, left = claim.size**1.5, claim.left**1.5
-    return float(min(SUREST, size / (size + 0.5 * left)))
 
 
 def findings_of(
@@ -226,7 +221,7 @@ def _finding(
         size = next((p.size for p in effect.parameters if p.name == key), "position")
         values[key] = Estimate(value, std, unit_of(size, kind, model.actuator.command_unit, torque))
     same = claim.same
-    sure = _sure(claim) * (0.5 + 0.5 / (1 + len(same)))
+    sure = sure_by(claim.size, claim.left) * (0.5 + 0.5 / (1 + len(same)))
     return Finding(
         name,
         joint,

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from zendsp.errors import ModelError
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import TREES, Model, Term, per_joint
+from zendsp.physics.robots.rigid import SMALL
 from zendsp.physics.robots.robot import robot_tree
 from zendsp.tree import GRAVITY, Body, LinkMotion, about, inverse_dynamics, link_motion
 
@@ -30,7 +31,6 @@ Array = npt.NDArray[np.float64]
 
 NUMBERS = ("mass", "h_x", "h_y", "h_z", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-STEP = 1e-4  # rad: of a derivative
 _ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # turns z to the base's x
 
 
@@ -264,10 +264,9 @@ class Links:
             here = inverse_dynamics(bodies, gravity, q, qd, qdd)
             out = np.zeros((q.shape[1], q.shape[1], len(q)))
             for k in self.turning:
-                there = q.copy()
-                there[:, k] += at.get(k + 1, STEP)
-                torque = inverse_dynamics(bodies, gravity, there, qd, qdd)
-                out[:, k] = (torque - here).T / at.get(k + 1, STEP)
+                there, by = q.copy(), at.get(k + 1, SMALL)
+                there[:, k] += by
+                out[:, k] = (inverse_dynamics(bodies, gravity, there, qd, qdd) - here).T / by
             self._zeros[key] = out
         return self._zeros[key]
 
