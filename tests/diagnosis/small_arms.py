@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,6 +62,21 @@ class Arm:
     counts: float = RESOLUTION  # rad, of the encoders
     spring: float = 0.0  # N m/rad between the last motor, where its sensor is, and its link
     held: int = 0  # joint (1-based) that its brake holds
+    strap: float = 0.0  # N/m, from the base to the forearm, slack below a quarter of a metre
+
+
+def pulled(arm: Arm, model: Any, data: Any, q: np.ndarray) -> np.ndarray:
+    """Torques of the strap, N m."""
+    import pinocchio as pin
+
+    jacobian = pin.computeJointJacobian(model, data, q, 3)
+    pin.forwardKinematics(model, data, q)
+    turned = data.oMi[3].rotation @ np.array([0.2, 0.0, 0.05])
+    away = data.oMi[3].translation + turned - np.array([0.25, -0.1, 0.1])
+    long = float(np.linalg.norm(away))
+    slides, turns = (data.oMi[3].rotation @ part for part in (jacobian[:3], jacobian[3:]))
+    moves = slides - np.cross(turned, turns, axisb=0, axisc=0)
+    return -arm.strap * max(long - 0.25, 0.0) / long * away @ moves
 
 
 def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]:
@@ -103,8 +119,9 @@ def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]
         last = y
         rows.append([t, *y, *u])
         for _ in range(SUB):
+            pull = pulled(arm, true, data, q) if arm.strap else 0.0
             moving = np.array([v[0], v[1], turns]) if arm.spring else v
-            free = gain * u - FRICTION * np.tanh(moving / 0.005) - DAMPING * moving
+            free = gain * u + pull - FRICTION * np.tanh(moving / 0.005) - DAMPING * moving
             if arm.spring:
                 bent = arm.spring * (motor - q[2]) + 0.2 * (turns - v[2])
                 turns += h * (free[2] - bent) / ROTOR
@@ -117,7 +134,7 @@ def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]
 
 
 def recorded(
-    folder: Path, name: str, arm: Arm, friction: bool = False
+    folder: Path, name: str, arm: Arm, friction: bool = False, seconds: float = 7.0
 ) -> tuple[Model, list[Path]]:
     """Two recordings of an arm, made once, and a model that lacks what is wrong with it, and
     friction too unless told.
@@ -126,7 +143,7 @@ def recorded(
     paths = [folder / f"{name}{seed}.npz" for seed in (1, 2)]
     for seed, path in enumerate(paths, 1):
         if not path.exists():
-            np.savez(path, **simulate(arm, seed))
+            np.savez(path, **simulate(arm, seed, seconds))
     effects = [
         {"kind": kind, "joint": j + 1, key: {"value": float(values[j])}}
         for kind, key, values in (

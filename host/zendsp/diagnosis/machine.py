@@ -198,6 +198,8 @@ def _settled_once(
         if bodies.found:
             again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
             found = again if again.claims else found
+        elif bodies.strap is not None:
+            found = replace(found, bodies=replace(found.bodies, strap=bodies.strap))
     own = _for_the_joints(bodies, found)
     if own is not None:
         again = _beneath(bodies.taken(own), measured_motion, parts, given, jobs, tell)
@@ -366,7 +368,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     return replace(
         found,
         searches=searches,
-        decisions=shown(parts, found.bodies.model, across_joints(decisions)),
+        decisions=shown(parts, found.bodies.model, across_joints(decisions, found.bodies.strap)),
         whole=whole,
         claims=claims,
         fine=tuple(

@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed
 from zendsp.diagnosis.decide.contract import Verdict
@@ -22,11 +24,13 @@ from zendsp.diagnosis.decide.thresholds import (
 )
 from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.discrepancy import discrepancy
+from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.short_fits import WAIT
+from zendsp.diagnosis.search.straps import Strap
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, library, mechanism_of
@@ -42,7 +46,7 @@ ALIKE = 1.5
 LATE_TOGETHER = 3
 
 
-def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
+def across_joints(decisions: Sequence[Decision], strap: Strap | None = None) -> list[Decision]:
     """The decisions, with laws removed where several joints lack a torque over position.
 
     A hose, a strap or a spring between links pulls at several joints. Its potential depends on all
@@ -54,24 +58,71 @@ def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
     ----------
     decisions : sequence of Decision
         One a joint.
+    strap : Strap, optional
+        A force between links that all joints together show.
 
     Returns
     -------
     list of Decision
         Where two or more joints are pulled, they keep the mechanism without a law. A constant
-        torque at another joint counts as a part of it.
+        torque at another joint counts as a part of it. Of a ``strap`` one joint keeps it, the one
+        at which it pulls most.
     """
+    pulled = strap.joints if strap is not None else ()
     claimed = sum(any(_pulls(c) for c in d.claims) for d in decisions)
     several = claimed > 0 and claimed + sum(_is_pulled(d) for d in decisions) > 1
     beside = _of_state(decisions) / A_PART
 
     def section(c: Claim, d: Decision) -> bool:
-        return _may_be_one(c) and (several or (_pulls(c) and c.size * d.scale < beside))
+        one = several or d.joint in pulled
+        return _may_be_one(c) and (one or (_pulls(c) and c.size * d.scale < beside))
 
-    return [
+    out = [
         replace(d, claims=tuple(_section(c, d) if section(c, d) else c for c in d.claims))
         for d in decisions
     ]
+    return out if strap is None else _as_one(out, strap)
+
+
+def _as_one(decisions: Sequence[Decision], strap: Strap) -> list[Decision]:
+    """The decisions, with the torque over position that the joints of a strap lack claimed once.
+    """
+    open_ones = [d for d in decisions if d.kind in (Verdict.MISSING, Verdict.UNEXPLAINED)]
+    of_it = {d.joint: _over_place(d) for d in open_ones if d.joint in strap.joints}
+    most = max(of_it, key=lambda j: of_it[j].size * decisions[j - 1].scale, default=0)
+    if not most or of_it[most].size < OF_STATE:
+        return list(decisions)
+    out = []
+    for d in decisions:
+        if d.joint in of_it:
+            others = tuple(c for c in d.claims if not (c.effect == "unknown" and _pulls(c)))
+            # its law stays in the improved model
+            laws = tuple(
+                replace(c, effect=c.term.effect)
+                for c in d.claims
+                if c not in others and c.term.effect != "unknown" and d.joint != most
+            )
+            claims = (of_it[d.joint], *others) if d.joint == most else others
+            d = replace(
+                d,
+                kind=Verdict.MISSING if claims else Verdict.UNEXPLAINED,
+                claims=claims,
+                refinements=(*d.refinements, *laws),
+                strap=strap.joints,
+            )
+        out.append(d)
+    return out
+
+
+def _over_place(d: Decision) -> Claim:
+    """What a joint lacks over the position, as a claim without a law; where it claims none, what
+    any function of its state predicts.
+    """
+    own = (c for c in d.claims if c.effect == "unknown" and _pulls(c))
+    term, seen = Term("unknown", d.joint, {}), Evidence(0.0, d.state.z, np.zeros(1))
+    laws = {"unknown": 1.0}
+    none = Claim("unknown", PLACE, term, d.state.size, seen, 0.0, laws, (), (), (), d.state)
+    return next(own, none)
 
 
 def overshadowed(square: float, decisions: Sequence[Decision]) -> bool:

@@ -139,6 +139,8 @@ class Decision:
     near: Near | None = None
     # effects and joint that recordings of the fit surely show and untouched ones do not
     doubted: tuple[tuple[str, int], ...] = ()
+    # joints at which one force between links pulls, where it pulls at this one
+    strap: tuple[int, ...] = ()
     searched: bool = True  # not where the search was ended before this joint
 
 

@@ -142,6 +142,12 @@ def _unknown(
     # an energy sure to z standard deviations: its root to 2 z
     std = claim.size / (2.0 * max(claim.evidence.z, 1.0))
     size = Estimate(claim.size * decision.scale, std * decision.scale, given.torque_unit(joint))
+    text = (
+        f"A torque that depends on the {what} of joint {joint}{besides} is missing,"
+        f" {percent(claim.size)} % of its torque; {_nearest(claim, decision)}."
+    )
+    if decision.strap and claim.mechanism == "position_torque":
+        text = _pulled(decision, claim)
     return Finding(
         "unknown",
         joint,
@@ -150,11 +156,21 @@ def _unknown(
         share,
         (),
         _replaced(given, claim, joint),
-        f"A torque that depends on the {what} of joint {joint}{besides} is missing,"
-        f" {percent(claim.size)} % of its torque; {_nearest(claim, decision)}.",
+        text,
         numbers,
         claim.mechanism,
         claim.laws,
+    )
+
+
+def _pulled(decision: Decision, claim: Claim) -> str:
+    """The sentence of a force between links."""
+    joints = listed(decision.strap)
+    return (
+        f"One force pulls at {joints}, as a hose, a strap or a spring between links does:"
+        f" {percent(claim.size)} % of the torque of joint {decision.joint}. One potential of"
+        " their positions predicts it surely better than any body does, and none of the"
+        " known laws describes it."
     )
 
 

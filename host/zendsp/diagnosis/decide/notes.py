@@ -277,6 +277,9 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
         return f"Joint {d.joint}: {what}" if told else ""
     if d.kind != Verdict.UNEXPLAINED:
         return ""
+    if d.strap:
+        what = f"{_torque(d, d.after.value, given)} stays unexplained"
+        return f"Joint {d.joint}: {what}, a part of what pulls at {listed(d.strap)}"
     if d.state.size > OF_STATE:
         return (
             f"Joint {d.joint}: a torque of {_torque(d, d.state.size, given)} depends on the state"

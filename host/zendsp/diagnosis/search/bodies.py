@@ -31,6 +31,7 @@ from zendsp.diagnosis.search.body_hypotheses import (
 from zendsp.diagnosis.search.body_numbers import refined, stated, unsure, weight_of
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.diagnosis.search.joint_zeros import check_zero
+from zendsp.diagnosis.search.straps import Strap, strap_in_place_of
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
@@ -78,7 +79,8 @@ class BodySearch:
     joints set aside for a fault of their own. ``instead``: the body that explains as much as the
     first of these faults, and that joint. ``small``: the best body, where it is too small a part of
     what the joints leave to be proposed, or as uncertain as the gains of all drives. ``beside``:
-    whether a body was seen at several joints before the first joint was set aside.
+    whether a body was seen at several joints before the first joint was set aside. ``strap``: a
+    force between links, which predicts better than the body that came next.
     """
 
     model: Model
@@ -88,6 +90,7 @@ class BodySearch:
     instead: tuple[FoundBody, int] | None = None
     small: FoundBody | None = None
     beside: bool = False
+    strap: Strap | None = None
 
     def taken(self, body: FoundBody) -> BodySearch:
         """The search with a body added that had not been proposed."""
@@ -139,12 +142,12 @@ def find_bodies(
         return _searched(fit, choose, model, jobs, tell, limits, beside)
 
     search = _by_any_observer(searched, choose, layout, limits)
-    if search.found:
+    if search.found or search.strap:
         return search
     # dry friction by the load that the model knows stands in for much of a heavy payload: of 150 kg
     # that an arm carried for 10 s nothing was found beside it
     other = _by_any_observer(searched, choose, layout, replace(limits, by_load=False))
-    return other if other.found else search
+    return other if other.found or other.strap else search
 
 
 def _by_any_observer(
@@ -155,12 +158,14 @@ def _by_any_observer(
     """
     first = search = searched(limits)
     # behind coarse counts a drive's gain follows the command's noise too, a body only the motion
-    while not search.found and (search.beside or _drowned(choose, layout, search.tried, limits)):
+    while not (search.found or search.strap) and (
+        search.beside or _drowned(choose, layout, search.tried, limits)
+    ):
         limits = replace(limits, bandwidth=0.5 * limits.bandwidth)
         if limits.bandwidth < limits.slowest:
             return first
         search = searched(limits)
-    return search if search.found else first
+    return search if search.found or search.strap else first
 
 
 def _drowned(
@@ -199,6 +204,7 @@ def _searched(
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
     small: FoundBody | None = None
+    strap: Strap | None = None
     seen_first = False
     while len(found) < limits.bodies:
         tell(
@@ -220,10 +226,16 @@ def _searched(
         check_zero(choose, model, best, limits)
         seen_first = seen_first or any(_at_several(e, limits) for e in first)
         own = next((e for e in first if _is_body(e, first[0], limits)), None)
+        proposed = seen(best, limits) or clear(best, limits)
+        one = own if not found and own is not None else best
+        if one.hypothesis.of_bodies and (one is own or proposed or _carried(best, limits)):
+            around = frozenset() if one is own else aside
+            strap = strap_in_place_of(one.hypothesis, (fit, choose), layout, limits, jobs, around)
+            if strap is not None:
+                break
         if not found and own is not None:
             own = refined(fit, choose, layout, own_mass(own, first, links, limits), limits, jobs)
             instead = _stated(layout, own, first, limits, frozenset()), first[0].hypothesis.joint
-        proposed = seen(best, limits) or clear(best, limits)
         if not found and not proposed and _carried(best, limits):
             own = refined(fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs)
             small = None if unsure(own, limits) else _stated(layout, own, tried, limits, aside)
@@ -247,7 +259,7 @@ def _searched(
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
     wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
-    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small, seen_first)
+    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small, seen_first, strap)
 
 
 def _with_numbers(

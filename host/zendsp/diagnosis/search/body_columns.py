@@ -4,7 +4,7 @@ and block, and the columns of each hypothesis.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -39,6 +39,14 @@ FALLS = (0.1, 0.2, 0.4)
 NUISANCE = 7 + len(FALLS)  # columns of each joint's own: constant, frictions, rotor
 
 
+Columns = Callable[[JointRecord], Array]
+
+
+def none(record: JointRecord) -> Array:
+    """No further torques."""
+    return np.zeros((0, record.n))
+
+
 # standard deviations of the sensor's noise: an observer with a larger error has lost the track
 LOST = 1e6
 
@@ -46,7 +54,7 @@ LOST = 1e6
 class Sums:
     """Gram matrices of all columns and the innovations, per joint and block; the innovations are
     the last column. ``turns``: for joints (from 1) roughly where another zero lies, rad; its torque
-    is no straight line.
+    is no straight line. ``more``: further torques of a joint, (columns, n).
     """
 
     def __init__(
@@ -56,6 +64,7 @@ class Sums:
         limits: BodyLimits = LIMITS,
         jobs: int = 1,
         turns: Mapping[int, float] = MappingProxyType({}),
+        more: Columns = none,
     ) -> None:
         seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
         block = min(limits.block, seconds / limits.blocks)
@@ -65,7 +74,9 @@ class Sums:
         counts: list[Array] = []
         for rec in data.records:
             starts = np.arange(0, rec[0].n, max(10, round(block / rec[0].sample_time)))
-            work = partial(_grams, model=model, starts=starts, limits=limits, turns=turns)
+            work = partial(
+                _grams, model=model, starts=starts, limits=limits, turns=turns, more=more
+            )
             with threads(jobs) as each:
                 done = list(each(work, rec))
             grams.append(np.stack([g for g, _ in done]))
@@ -78,6 +89,12 @@ class Sums:
         out = copy(self)
         out.grams = np.concatenate([self.grams, other.grams], axis=1)
         out.counts = np.concatenate([self.counts, other.counts], axis=1)
+        return out
+
+    def some(self, blocks: npt.NDArray[np.bool_]) -> Sums:
+        """The sums with some of the blocks."""
+        out = copy(self)
+        out.grams, out.counts = self.grams[:, blocks], self.counts[:, blocks]
         return out
 
     def with_torque(self, x: Array) -> Sums:
@@ -102,9 +119,10 @@ def _grams(
     starts: npt.NDArray[np.int_],
     limits: BodyLimits,
     turns: Mapping[int, float],
+    more: Columns,
 ) -> tuple[Array, Array]:
     """Gram matrices (blocks, columns, columns) and numbers of samples (blocks,) of one joint."""
-    columns, moving = _columns(record, model, limits, turns)
+    columns, moving = _columns(record, model, limits, turns, more)
     columns = np.ascontiguousarray(columns[:, moving].T)
     edges = np.searchsorted(np.flatnonzero(moving), [*starts, record.n])
     parts = [columns[a:b] for a, b in pairwise(edges)]
@@ -112,7 +130,11 @@ def _grams(
 
 
 def _columns(
-    record: JointRecord, model: Model, limits: BodyLimits, turns: Mapping[int, float]
+    record: JointRecord,
+    model: Model,
+    limits: BodyLimits,
+    turns: Mapping[int, float],
+    more: Columns,
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Responses of all columns and the innovations, (columns + 1, n), and the samples at which the
     joint moves.
@@ -127,6 +149,7 @@ def _columns(
     own = [np.ones(record.n), *_frictions(record, model, slow, limits.by_load), qdd]
     torques = [*own, *_shared(links, j, model, record, turns), -gain * record.command]
     torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
+    torques += list(more(record))
     damping = damping_along(record, model)
     inertia = effective_inertia(record, model)
     all_torques = np.stack(torques)

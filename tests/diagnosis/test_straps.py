@@ -1,0 +1,69 @@
+"""A force between links, as of a hose or a strap, is no body, and one finding."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import pytest
+from small_arms import Arm, recorded, searched
+from test_across import lacking, named
+
+from zendsp.diagnosis.decide.across import across_joints
+from zendsp.diagnosis.measure.structure import Structure
+from zendsp.diagnosis.search import bodies
+from zendsp.diagnosis.search.straps import Strap
+
+STRAP = Arm(strap=50.0)
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
+    """``recorded`` in one folder, for 15 s, with the friction known."""
+    folder = tmp_path_factory.mktemp("arms")
+    return partial(recorded, folder, friction=True, seconds=15.0)
+
+
+def test_a_strap_over_two_joints_is_proposed_as_no_body(
+    record: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = searched(record("strap", STRAP))
+    assert not found.found and not found.instead and not found.small
+    assert found.strap is not None and 2 in found.strap.joints and found.strap.z > 4.0
+    monkeypatch.setattr(bodies, "strap_in_place_of", lambda *_: None)
+    assert searched(record("strap", STRAP)).found  # a tilted base of 10 degrees
+
+
+@pytest.mark.parametrize("arm", [Arm(mass=0.3), Arm(shifted=0.03), Arm(tilt=0.03)])
+def test_a_body_is_no_strap(record: Callable[..., Any], arm: Arm) -> None:
+    found = searched(record(f"{arm.mass} {arm.shifted} {arm.tilt}", arm))
+    assert len(found.found) == 1 and found.strap is None
+
+
+def test_a_strap_is_one_finding_at_the_joint_where_it_pulls_most() -> None:
+    pulled = [lacking(1, "stiffness", coefficient=2.0), lacking(2, "gravity", sine=1.0)]
+    pulled = [replace(d, scale=s) for d, s in zip(pulled, (1.0, 2.0), strict=True)]
+    other = lacking(3, "coulomb", level=1.0)
+    found = across_joints([*pulled, other], Strap((1, 2), 8.0))
+    assert named(found)[:2] == [[], [("unknown", "position_torque", ())]]
+    assert found[0].kind == "unexplained" and found[0].strap == (1, 2)
+    # the law that stays in the improved model refines it
+    assert [c.effect for c in found[0].refinements] == ["stiffness"]
+    assert found[2] == other
+
+
+def test_a_strap_that_no_joint_claims_is_claimed_where_most_is_missing() -> None:
+    nobody = [
+        replace(lacking(j, "coulomb", level=1.0), kind="unexplained", claims=()) for j in (1, 2)
+    ]
+    sizes = Structure(0.02, 0.9, 5.0), Structure(0.1, 0.9, 5.0)
+    nobody = [replace(d, state=state) for d, state in zip(nobody, sizes, strict=True)]
+    assert named(across_joints(nobody, Strap((1, 2), 8.0))) == [
+        [],
+        [("unknown", "position_torque", ())],
+    ]
+    assert across_joints([replace(d, kind="complete") for d in nobody], Strap((1, 2), 8.0))[
+        1
+    ].claims == ()
