@@ -231,19 +231,20 @@ def forward_dynamics(
     return np.asarray(np.linalg.solve((rows[1:] - rows[0]).T, tau - rows[0]))
 
 
-def read_urdf(path: str) -> tuple[list[Body], Array]:
+def read_urdf(path: str, moving: Sequence[str] = ()) -> tuple[list[Body], Array]:
     """Moving links of a URDF and gravity; a parent before its children, siblings by joint name.
 
-    Links on fixed joints become part of the link that carries them.
+    Links on fixed joints become part of the link that carries them; so do those on joints that are
+    not among the names ``moving``, held at 0 (empty: all joints move).
 
     Raises
     ------
     ModelError
-        Not a URDF, or a joint that is neither revolute with limits, prismatic nor fixed.
+        Not a URDF, or a moving joint that neither turns nor slides, or follows another one.
     """
     try:
         robot = ET.parse(Path(path)).getroot()
-        return _read(robot, path), np.array(GRAVITY)
+        return _read(robot, path, tuple(moving)), np.array(GRAVITY)
     except RecursionError:
         raise ModelError(
             f"{path}: its links hang on one another in a chain that is too long to be read: some"
@@ -255,11 +256,11 @@ def read_urdf(path: str) -> tuple[list[Body], Array]:
         raise ModelError(f"{path}: is not a URDF that can be read: {error}") from error
 
 
-def _read(robot: ET.Element, path: str) -> list[Body]:
+def _read(robot: ET.Element, path: str, moving: tuple[str, ...]) -> list[Body]:
     if robot.tag != "robot":
         kind = '; a MuJoCo model is kind = "mjcf"' if robot.tag == "mujoco" else ""
         raise ModelError(f"{path}: is not a URDF: its root is <{robot.tag}>, not <robot>{kind}")
-    if any("xacro" in part.tag for part in robot.iter()):
+    if any("xacro" in part.tag or "${" in "".join(part.attrib.values()) for part in robot.iter()):
         raise ModelError(f"{path}: xacro has to make a URDF of it first: xacro {path} > arm.urdf")
     found = robot.findall("link")
     links = {str(link.attrib["name"]): link for link in found}
@@ -281,6 +282,8 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
     if len(roots) != 1:
         raise ModelError(f"{path}: has {len(roots)} links without a parent; expected one")
     bodies: list[Body] = []
+    order: list[str] = []
+    _refuse_followers(joints, path, moving)
 
     def visit(name: str, index: int, rotation: Array, place: Array) -> None:
         if index >= 0:
@@ -289,29 +292,64 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
             kind, child = joint.attrib["type"], joint.find("child").attrib["link"]  # type: ignore[union-attr]
             turn, at = _origin(joint)
             turn, at = rotation @ turn, place + rotation @ at
-            if kind == "fixed":
+            name = joint.attrib["name"]
+            if kind == "fixed" or (moving and name not in moving):
                 visit(child, index, turn, at)
                 continue
             axis, slides = _axis(joint, path), kind == "prismatic"
             none, flat = np.zeros(3), np.zeros((3, 3))
+            order.append(name)
             bodies.append(Body(index, slides, axis, turn, at, 0.0, none, flat, child))
             visit(child, len(bodies) - 1, np.eye(3), np.zeros(3))
 
     visit(roots[0], -1, np.eye(3), np.zeros(3))
+    if moving and list(moving) != order:
+        unknown = [name for name in moving if name not in order]
+        raise ModelError(
+            f"{path}: [mechanism] joints = {list(moving)}: "
+            + (
+                f"no joint that moves is called {unknown[0]!r}; it has"
+                f" {', '.join(_movable(joints))}"
+                if unknown
+                else f"expected each once, in the order of the chain: {order}"
+            )
+        )
     if not bodies:
         raise ModelError(f"{path}: has no joint that moves")
     return bodies
 
 
+def _movable(joints: Sequence[ET.Element]) -> list[str]:
+    """Names of the joints that move by themselves."""
+    alone = [j for j in joints if j.attrib["type"] != "fixed" and j.find("mimic") is None]
+    return [j.attrib["name"] for j in alone]
+
+
+def _refuse_followers(joints: Sequence[ET.Element], path: str, moving: tuple[str, ...]) -> None:
+    """A joint that mimics one that moves."""
+    for joint in joints:
+        mimic, name = joint.find("mimic"), joint.attrib["name"]
+        if mimic is None or joint.attrib["type"] == "fixed":
+            continue
+        leader = mimic.attrib.get("joint", "")
+        if not moving or name in moving or leader in moving:
+            kept = [n for n in moving or _movable(joints) if n not in (name, leader)]
+            raise ModelError(
+                f"{path}: joint {name!r} follows {leader!r} (<mimic>), which a tree of independent"
+                f" joints cannot: name those that the recording has, [mechanism] joints = {kept};"
+                " all others are held at 0"
+            )
+
+
 def _axis(joint: ET.Element, path: str) -> Array:
     """Unit vector of a joint that moves, (3,)."""
     name, kind = joint.attrib["name"], joint.attrib["type"]
-    if kind not in ("revolute", "prismatic"):
+    if kind not in ("revolute", "continuous", "prismatic"):
         raise ModelError(
-            f"{path}: joint {name!r} is {kind}: use revolute with limits, prismatic or fixed"
+            f"{path}: joint {name!r} is {kind}: only revolute, continuous and prismatic ones can be"
+            " taken over; name those that the recording has, [mechanism] joints = [\"…\"], the"
+            " others are held at 0"
         )
-    if joint.find("limit") is None or joint.find("mimic") is not None:
-        raise ModelError(f"{path}: joint {name!r} needs <limit> and no <mimic>")
     found = joint.find("axis")
     axis = _numbers("1 0 0" if found is None else found.attrib["xyz"])
     length = float(np.linalg.norm(axis))

@@ -255,3 +255,64 @@ def test_a_chain_of_links_that_is_too_long_is_refused_as_that(tmp_path: Path) ->
     file.write_text(f'<robot name="chain"><link name="l0"/>{links}</robot>')
     with pytest.raises(ModelError, match="a chain that is too long"):
         read_urdf(str(file))
+
+
+def _gripper(tmp_path: Path, fingers: str = "prismatic") -> Path:
+    """A URDF of two joints with a gripper of two fingers, the second of which follows the first."""
+    def link(name: str, mass: float) -> str:
+        inertia = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+        return (
+            f'<link name="{name}"><inertial><origin xyz="0 0 0.1"/><mass value="{mass}"/>{inertia}'
+            "</inertial></link>"
+        )
+
+    def joint(name: str, kind: str, parent: str, child: str, more: str = "") -> str:
+        return (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{more}</joint>'
+        )
+
+    parts = [
+        '<link name="base"/>', link("upper", 2.0), link("fore", 1.0), link("a", 0.3), link("b", 0.3)
+    ]
+    parts += [joint("j1", "continuous", "base", "upper"), joint("j2", "revolute", "upper", "fore")]
+    parts += [joint("left", fingers, "fore", "a")]
+    parts += [joint("right", fingers, "fore", "b", '<mimic joint="left"/>')]
+    file = tmp_path / "gripper.urdf"
+    file.write_text(f'<robot name="r">{"".join(parts)}</robot>')
+    return file
+
+
+def test_joints_of_a_urdf_that_were_not_recorded_are_held_and_their_links_carried(
+    tmp_path: Path,
+) -> None:
+    file = _gripper(tmp_path)
+    moving, _ = read_urdf(str(file), ["j1", "j2"])
+    fixed = tmp_path / "fixed.urdf"
+    fixed.write_text(file.read_text().replace('"prismatic"', '"fixed"'))
+    for one, other in zip(moving, read_urdf(str(fixed))[0], strict=True):
+        assert one.mass == other.mass and np.array_equal(one.com, other.com)
+    assert moving[1].mass == pytest.approx(1.6)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ([], r"'right' follows 'left' .* joints = \['j1', 'j2'\]"),
+        (["j1", "j2", "left"], r"'right' follows 'left' .* joints = \['j1', 'j2'\]"),
+        (["j2", "j1"], r"in the order of the chain: \['j1', 'j2'\]"),
+        (["j1", "elbow"], "called 'elbow'; it has j1, j2, left"),
+    ],
+)
+def test_joints_of_a_urdf_that_follow_others_or_do_not_exist_are_named(
+    tmp_path: Path, names: list[str], words: str
+) -> None:
+    with pytest.raises(ModelError, match=words):
+        read_urdf(str(_gripper(tmp_path)), names)
+
+
+def test_a_urdf_with_expressions_of_xacro_is_told_as_that(tmp_path: Path) -> None:
+    file = tmp_path / "arm.xacro"
+    file.write_text(ARM.read_text().replace('<mass value="', '<mass value="${2} ', 1))
+    with pytest.raises(ModelError, match="xacro has to make a URDF of it first"):
+        read_urdf(str(file))

@@ -281,3 +281,17 @@ def test_a_changed_robot_file_is_read_again(
         assert load_model("arm.toml").joints == joints
     write(tmp_path / "3", 4)
     assert load_model("arm.toml").joints == 4
+
+
+def test_a_urdfs_joints_are_named_as_an_mjcfs_and_written_again(tmp_path: Path) -> None:
+    hinge = '<joint name="j{0}" type="continuous"><parent link="l{1}"/><child link="l{0}"/></joint>'
+    links = '<link name="l0"/><link name="l1"/><link name="l2"/>'
+    robot = f'<robot name="a">{links}{hinge.format(1, 0)}{hinge.format(2, 1)}</robot>'
+    (tmp_path / "arm.urdf").write_text(robot)
+    text = 'name = "arm"\nsample_time = 0.01\n[mechanism]\nkind = "urdf"\nfile = "arm.urdf"\n'
+    (tmp_path / "arm.toml").write_text(text + 'joints = ["j2"]\n')
+    model = load_model(tmp_path / "arm.toml")
+    assert model.joints == 1 and model.robot.joints == ("j2",)
+    assert parse_model(tomllib.loads(model_text(model))).robot.joints == ("j2",)
+    with pytest.raises(ModelError, match="joints belongs to kind = 'urdf' or 'mjcf', not 'rotary'"):
+        parse_model({"mechanism": {"kind": "rotary", "joints": ["a"], "parameters": {}}})

@@ -142,7 +142,7 @@ class Discrepancy:
 
 @dataclass(frozen=True)
 class Robot:
-    """How an MJCF is taken over.
+    """How a URDF or an MJCF is taken over; from a URDF only the bodies are.
 
     Attributes
     ----------
@@ -275,7 +275,9 @@ class Model:
         if isinstance(position, list):
             return len(position)
         moving = (
-            _movable(self.folder / self.file) if self.kind == "urdf" else 1
+            _movable(self.folder / self.file)
+            if self.kind == "urdf" and not self.robot.joints
+            else max(1, len(self.robot.joints))
         )  # the column may be one 2-D array
         return max(
             [

@@ -35,14 +35,15 @@ from zendsp.recording.units import not_known, to_si
 from zendsp_protocol import written
 from zendsp_protocol.spelling import unknown_keys
 
-OF_MJCF = ("joints", "take")
+OF_TREES = ("joints",)
+OF_MJCF = ("take",)
 OF_FMU = ("inputs", "outputs", "start_position", "start_velocity", "time_limit")
 KEYS = {  # of each table, whether this version uses the value or only knows it
     "": (
         "name", "sample_time", "mechanism", "effect", "actuator", "sensor", "controller",
         "columns", "limits", "discrepancy",
     ),
-    "mechanism": ("kind", "parameters", "file", "entry", "folder", *OF_MJCF, *OF_FMU),
+    "mechanism": ("kind", "parameters", "file", "entry", "folder", *OF_TREES, *OF_MJCF, *OF_FMU),
     "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
     "sensor": ("position_resolution", "matrix", "offset", "side"),
     "controller": ("kind", "kp", "kd", "ki", "cutoff"),
@@ -225,8 +226,10 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         fmu=_fmu(read, mechanism),
     )
     own: tuple[Term, ...] = ()
+    robot = _robot(read, mechanism, "gain" in read.table(data, "actuator"))
+    if kind == "urdf":
+        model = replace(model, robot=Robot(robot.joints))
     if kind == "mjcf":
-        robot = _robot(read, mechanism, "gain" in read.table(data, "actuator"))
         own, actuator, robot = stated(replace(model, robot=robot), robot)
         model = replace(model, actuator=actuator, robot=robot)
     model = replace(model, joint_kinds=joint_kinds(model))
@@ -270,11 +273,12 @@ def _mechanism(
     known = PARAMETERS[kind]
     if known is not None:
         read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
-    for owner, keys in (("mjcf", OF_MJCF), ("fmu", OF_FMU)):
+    for owners, keys in ((TREES, OF_TREES), (("mjcf",), OF_MJCF), (("fmu",), OF_FMU)):
         for key in keys:
-            if key in mechanism and kind != owner:
+            if key in mechanism and kind not in owners:
+                owner = " or ".join(map(repr, owners))
                 raise ModelError(
-                    f"{path}: [mechanism] {key} belongs to kind = {owner!r}, not {kind!r}"
+                    f"{path}: [mechanism] {key} belongs to kind = {owner}, not {kind!r}"
                 )
     values = {
         key: read.quantities(f"[mechanism.parameters] {key}", value)

@@ -71,11 +71,11 @@ def _mechanism_table(model: Model, beside: bool) -> dict[str, Any]:
     mechanism: dict[str, Any] = {"kind": model.kind}
     if model.file:
         mechanism["file"] = model.file if beside else str((model.folder / model.file).resolve())
-    if model.kind == "mjcf":  # all that counts stands in this file, the bodies aside
-        if not beside:
-            mechanism["take"] = "servos" if model.robot.servos else "bodies"
-        if model.robot.joints:
-            mechanism["joints"] = list(model.robot.joints)
+    # all that counts stands in this file, the bodies aside
+    if model.kind == "mjcf" and not beside:
+        mechanism["take"] = "servos" if model.robot.servos else "bodies"
+    if model.robot.joints:
+        mechanism["joints"] = list(model.robot.joints)
     stated = asdict(model.fmu).items()
     mechanism |= {k: list(v) if isinstance(v, tuple) else v for k, v in stated if v}
     if model.entry:

@@ -96,10 +96,9 @@ def recorded_tree(model: Model, joints: int) -> tuple[list[Body], Array]:
     """
     bodies, gravity = robot_tree(model)
     if len(bodies) != joints:
-        leave = 'type="fixed" in that file' if model.kind == "urdf" else "joints = […]"
         raise ModelError(
             f"{model.file}: has {counted(len(bodies), 'joint')}, the recording {joints}:"
-            f" {leave} leaves one out"
+            " [mechanism] joints = […] names those that were recorded"
         )
     return bodies, gravity
 

@@ -46,12 +46,12 @@ def robot_tree(model: Model) -> tuple[list[Body], Array]:
     if model.kind == "mjcf":
         taken = read_mjcf(path, model.robot.joints)
         return list(taken.bodies), taken.gravity
-    return _urdf(path, Path(path).stat().st_mtime_ns)
+    return _urdf(path, model.robot.joints, Path(path).stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=16)
-def _urdf(path: str, _changed: int) -> tuple[list[Body], Array]:
-    return read_urdf(path)
+def _urdf(path: str, joints: tuple[str, ...], _changed: int) -> tuple[list[Body], Array]:
+    return read_urdf(path, joints)
 
 
 def mjcf_of(model: Model) -> Mjcf:
