@@ -242,9 +242,39 @@ def read_urdf(path: str, moving: Sequence[str] = ()) -> tuple[list[Body], Array]
     ModelError
         Not a URDF, or a moving joint that neither turns nor slides, or follows another one.
     """
+    bodies, order = _opened(path, tuple(moving))
+    if moving and list(moving) != order:
+        unknown = [name for name in moving if name not in order]
+        raise ModelError(
+            f"{path}: [mechanism] joints = {list(moving)}: "
+            + (
+                f"no joint that moves is called {unknown[0]!r}; it has"
+                f" {', '.join(urdf_joints(path))}"
+                if unknown
+                else f"expected each once, in the order of the chain: {order}"
+            )
+        )
+    if not bodies:
+        raise ModelError(f"{path}: has no joint that moves")
+    return bodies, np.array(GRAVITY)
+
+
+def urdf_joints(path: str) -> list[str]:
+    """Names of the joints of a URDF that move by themselves, a parent before its children."""
+    return _opened(path, None)[1]
+
+
+def _opened(path: str, moving: tuple[str, ...] | None) -> tuple[list[Body], list[str]]:
+    """The moving links of a URDF, and the names of their joints. ``moving``: as of ``read_urdf``;
+    None: all that move by themselves.
+    """
     try:
         robot = ET.parse(Path(path)).getroot()
-        return _read(robot, path, tuple(moving)), np.array(GRAVITY)
+        every = robot.findall("joint")
+        if moving is None:
+            return _read(robot, path, tuple(_movable(every)))
+        _refuse_followers(every, path, moving)
+        return _read(robot, path, moving)
     except RecursionError:
         raise ModelError(
             f"{path}: its links hang on one another in a chain that is too long to be read: some"
@@ -256,7 +286,9 @@ def read_urdf(path: str, moving: Sequence[str] = ()) -> tuple[list[Body], Array]
         raise ModelError(f"{path}: is not a URDF that can be read: {error}") from error
 
 
-def _read(robot: ET.Element, path: str, moving: tuple[str, ...]) -> list[Body]:
+def _read(
+    robot: ET.Element, path: str, moving: tuple[str, ...]
+) -> tuple[list[Body], list[str]]:
     if robot.tag != "robot":
         kind = '; a MuJoCo model is kind = "mjcf"' if robot.tag == "mujoco" else ""
         raise ModelError(f"{path}: is not a URDF: its root is <{robot.tag}>, not <robot>{kind}")
@@ -283,7 +315,6 @@ def _read(robot: ET.Element, path: str, moving: tuple[str, ...]) -> list[Body]:
         raise ModelError(f"{path}: has {len(roots)} links without a parent; expected one")
     bodies: list[Body] = []
     order: list[str] = []
-    _refuse_followers(joints, path, moving)
 
     def visit(name: str, index: int, rotation: Array, place: Array) -> None:
         if index >= 0:
@@ -303,20 +334,7 @@ def _read(robot: ET.Element, path: str, moving: tuple[str, ...]) -> list[Body]:
             visit(child, len(bodies) - 1, np.eye(3), np.zeros(3))
 
     visit(roots[0], -1, np.eye(3), np.zeros(3))
-    if moving and list(moving) != order:
-        unknown = [name for name in moving if name not in order]
-        raise ModelError(
-            f"{path}: [mechanism] joints = {list(moving)}: "
-            + (
-                f"no joint that moves is called {unknown[0]!r}; it has"
-                f" {', '.join(_movable(joints))}"
-                if unknown
-                else f"expected each once, in the order of the chain: {order}"
-            )
-        )
-    if not bodies:
-        raise ModelError(f"{path}: has no joint that moves")
-    return bodies
+    return bodies, order
 
 
 def _movable(joints: Sequence[ET.Element]) -> list[str]:

@@ -29,9 +29,12 @@ def command() -> None:
 @command.command("new")
 @click.argument("recording", type=FILE)
 @out_option("Default: the recording's name with .toml, in this folder.")
+@click.option("--robot", type=FILE, help="A URDF or an MJCF: it has the bodies.")
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
 @json_option
-def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
+def new(
+    recording: Path, out: Path | None, robot: Path | None, force: bool, as_json: bool
+) -> None:
     """Write a commented model file from a recording, with questions where the recording cannot
     tell.
 
@@ -49,7 +52,8 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
         raise ModelError(
             f"{out}: is there already; choose another name with -o, or --force to write over it"
         )
-    draft = draft_model(read_table(recording), machine=machine_of(recording, out.parent))
+    machine = machine_of(recording, out.parent)
+    draft = draft_model(read_table(recording), machine, robot, out.parent)
     parse_model(tomllib.loads(draft.text), str(out))  # what is written can be read
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

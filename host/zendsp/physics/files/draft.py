@@ -21,6 +21,7 @@ from zendsp.physics.files.draft_data import (
     unbroken,
     why_degrees,
 )
+from zendsp.physics.files.draft_robot import by_joints, joints_in, put_robot
 from zendsp.physics.files.draft_tables import (
     COUNTS_A_TURN,
     TURN,
@@ -50,7 +51,12 @@ class Draft:
     unused: tuple[str, ...] = ()
 
 
-def draft_model(table: Table, machine: Machine | None = None) -> Draft:
+def draft_model(
+    table: Table,
+    machine: Machine | None = None,
+    robot: Path | None = None,
+    folder: Path = Path(),
+) -> Draft:
     """A commented model file for the machine that a recording shows.
 
     Columns are told by their names and units; sample time, resolution of the encoder, number of
@@ -63,11 +69,17 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         As ``read_table`` gives it.
     machine : Machine, optional
         What zendsp's own recording says beside its rows: limits, encoders, delay, MuJoCo model.
+    robot : Path, optional
+        A URDF or an MJCF of the machine. Columns that name its joints are put in its order.
+    folder : Path
+        Where the model file will lie.
 
     Raises
     ------
     RecordingError
         No column looks like a position.
+    ModelError
+        The robot has fewer joints than the recording, or its file cannot be taken over.
     """
     groups = groups_of(table)
     position = best_group(groups, Role.POSITION)
@@ -87,6 +99,10 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         position = best_group(groups, Role.POSITION) or position
     command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
     command = command and in_order(command, position)
+    if robot is not None:
+        joints_there = joints_in(robot)
+        position, _ = by_joints(position, joints_there)
+        command = command and by_joints(command, joints_there)[0]
     page = Page()
     _head(page, table, f"{nothing}: why?" if bare else "")
     for group in (position, command):
@@ -103,15 +119,18 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     linear = position.unit.partition(", ")[0] == "m"
     if machine is not None and known is None:
         page.line(ask=_others(machine, position))
-    if known is not None and known.model:
+    degrees = why_degrees(position, best_group(groups, Role.VELOCITY, joints), clock)
+    unit = _unit_asked(position, degrees)
+    if robot is not None:
+        put_robot(page, robot, folder, position, unit)
+    elif known is not None and known.model:
         _mujoco(page, known)
     else:
         part = unbroken(clock, len(position.values))
         turned = TURN / COUNTS_A_TURN if position.unit in ENCODER and known is None else 1.0
         shown = replace(position, values=turned * position.values[part])
         driven = command and replace(command, values=command.values[part])
-        degrees = why_degrees(position, best_group(groups, Role.VELOCITY, joints), clock)
-        _mechanism(page, shown, driven, step, linear, known, degrees)
+        _mechanism(page, shown, driven, step, linear, known, unit)
     put_actuator(page, command, step, known)
     put_sensor(page, position, linear, known)
     page.line()
@@ -220,7 +239,7 @@ def _mechanism(
     step: float,
     linear: bool,
     machine: Machine | None,
-    degrees: str,
+    unit: str,
 ) -> None:
     joints = position.values.shape[1]
     if machine is not None and (model_folder() / f"{machine.name}.toml").is_file():
@@ -229,7 +248,7 @@ def _mechanism(
         )
     page.line("[mechanism]")
     kinds = "rotary | linear | planar2r | urdf | mjcf | fmu | python"
-    page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, _unit_asked(position, degrees))
+    page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, unit)
     if machine is not None and len(set(machine.slides)) > 1:
         names = (
             f"{joint['name']} {'slides' if slides else 'turns'}"

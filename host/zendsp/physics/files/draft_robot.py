@@ -1,0 +1,97 @@
+"""The mechanism of a draft whose bodies stand in a URDF or an MJCF: which of its joints the columns
+of a recording are.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from zendsp.errors import ModelError
+from zendsp.physics.files.draft_data import Group
+from zendsp.physics.files.draft_tables import Page
+from zendsp.tree import urdf_joints
+from zendsp_protocol.texts import counted
+
+KINDS = {".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}
+
+
+def joints_in(robot: Path) -> list[str]:
+    """Names of the joints of a URDF or an MJCF that turn or slide, in the file's order.
+
+    Raises
+    ------
+    ModelError
+        Neither of both, or a file that cannot be taken over.
+    """
+    kind = KINDS.get(robot.suffix.lower())
+    if kind is None:
+        raise ModelError(f"{robot}: expected a URDF or an MJCF: {', '.join(KINDS)}")
+    if kind == "urdf":
+        return urdf_joints(str(robot))
+    from zendsp.physics.robots.mjcf import compiled, library
+
+    model, joint = compiled(str(robot)), library().mjtJoint
+    single = (int(joint.mjJNT_HINGE), int(joint.mjJNT_SLIDE))
+    every = (model.joint(k) for k in range(model.njnt) if int(model.jnt_type[k]) in single)
+    return [str(one.name) for one in every]
+
+
+def by_joints(group: Group, joints: Sequence[str]) -> tuple[Group, list[str]]:
+    """A group with its columns in the order of a robot's joints, and the joints that they name;
+    none where the columns do not name one each.
+    """
+    found = []
+    for name in group.names:
+        said = [j for j in joints if _says(name, j)]
+        longest = max(said, key=len, default="")  # of wrist and wrist_2
+        found.append(longest)
+    if not all(found) or len(set(found)) < len(found) or len(found) != group.values.shape[1]:
+        return group, []
+    order = sorted(range(len(found)), key=lambda k: joints.index(found[k]))
+    units = group.unit.split(", ")
+    unit = ", ".join(units[k] for k in order) if len(units) == len(order) else group.unit
+    ordered = Group(tuple(group.names[k] for k in order), group.values[:, order], unit)
+    return ordered, [found[k] for k in order]
+
+
+def _says(column: str, joint: str) -> bool:
+    around = rf"(?<![a-z0-9]){re.escape(joint.lower())}(?![a-z0-9])"
+    return bool(joint) and re.search(around, column.lower()) is not None
+
+
+def put_robot(page: Page, robot: Path, folder: Path, position: Group, unit: str) -> None:
+    """The lines of the mechanism. ``folder``: where the model file will lie; ``unit``: the question
+    after the unit of the position.
+    """
+    joints, count = joints_in(robot), position.values.shape[1]
+    if len(joints) < count:
+        raise ModelError(
+            f"{robot}: has {counted(len(joints), 'joint')} ({', '.join(joints)}), the recording"
+            f" {counted(count, 'position')}: {', '.join(position.names)}"
+        )
+    _, named = by_joints(position, joints)
+    file = Path(os.path.relpath(robot, folder)).as_posix()
+    page.line("[mechanism]")
+    page.line(f"kind = {json.dumps(KINDS[robot.suffix.lower()])}", ask=unit)
+    page.line(f"file = {json.dumps(file, ensure_ascii=False)}")
+    ask = ""
+    if not named and len(joints) > count:
+        ask = f"which {count} of {', '.join(joints)} were recorded? The others are held"
+    elif not named and count > 1:
+        several = ", ".join(position.names)
+        ask = f"do {several} stand in this order? Drivers often list joints by the alphabet"
+    which = named or joints[:count]
+    if which != joints or ask:
+        page.line(f"joints = {json.dumps(which, ensure_ascii=False)}", "in the file's order", ask)
+    page.line()
+    page.line(
+        comment="A URDF states no friction and no rotors. What is missing is for zendsp diagnose to"
+        " find; what you know, write here (docs/effects.md)."
+    )
+    for text in ("[[effect]]", 'kind = "viscous"', "joint = 1"):
+        page.choice(text)
+    page.choice("coefficient = { value = 0.01 }", "N m s/rad, N s/m where the joint slides")

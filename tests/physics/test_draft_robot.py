@@ -1,0 +1,95 @@
+"""A model file begun from a recording and the robot's URDF: which joints the columns are."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from drafts import N, T
+
+from zendsp.cli import main
+from zendsp.errors import ModelError
+from zendsp.physics.files.draft import draft_model
+from zendsp.physics.files.model_file import load_model
+from zendsp.recording import Table
+
+CHAIN = (  # name, type, parent, child
+    ("shoulder", "continuous", "base", "a"),
+    ("elbow", "revolute", "a", "b"),
+    ("wrist", "revolute", "b", "c"),
+    ("finger", "prismatic", "c", "left"),
+    ("other_finger", "prismatic", "c", "right"),
+)
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    """An arm of three joints with a gripper, one finger of which follows the other."""
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "a", "b", "c", "left", "right"))
+    follows = '<mimic joint="finger"/>'
+    joints = "".join(
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<axis xyz="0 1 0"/>{follows if name == "other_finger" else ""}'
+        "</joint>"
+        for name, kind, parent, child in CHAIN
+    )
+    file = tmp_path / "arm.urdf"
+    file.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    return file
+
+
+def table(*joints: str) -> Table:
+    columns = {"t": T}
+    for k, joint in enumerate(joints, 1):
+        columns[f"joint_states.{joint}.position"] = np.sin(k * T)
+        columns[f"joint_states.{joint}.effort"] = np.cos(k * T) + np.zeros(N)
+    return Table(columns, {"t": "s"}, {}, Path("run.csv"))
+
+
+def test_joints_that_the_columns_name_are_taken_in_the_robots_order(robot: Path) -> None:
+    drawn = draft_model(table("elbow", "shoulder", "wrist"), robot=robot, folder=robot.parent)
+    model = tomllib.loads(drawn.text)
+    assert model["mechanism"] == {
+        "kind": "urdf", "file": "arm.urdf", "joints": ["shoulder", "elbow", "wrist"]
+    }  # fmt: skip
+    order = ["shoulder", "elbow", "wrist"]
+    assert model["columns"]["position"] == [f"joint_states.{j}.position" for j in order]
+    assert model["columns"]["command"] == [f"joint_states.{j}.effort" for j in order]
+    assert not any("recorded?" in q or "order?" in q for q in drawn.questions)
+    file = robot.parent / "arm.toml"
+    file.write_text(drawn.text)
+    assert load_model(file).joint_kinds == ("rotary",) * 3
+
+
+def test_what_columns_without_names_of_joints_are_is_asked(robot: Path) -> None:
+    columns = {"t": T, **{f"q{k}": np.sin(k * T) for k in (1, 2, 3)}}
+    drawn = draft_model(Table(columns, {}, {}, Path("run.csv")), robot=robot)
+    assert any("which 3 of shoulder, elbow, wrist, finger were" in q for q in drawn.questions)
+    assert any("no unit: is it rad" in q for q in drawn.questions)
+    assert tomllib.loads(drawn.text)["mechanism"]["joints"] == ["shoulder", "elbow", "wrist"]
+    columns["q4"] = np.sin(4 * T)
+    drawn = draft_model(Table(columns, {}, {}, Path("run.csv")), robot=robot)
+    assert any("q1, q2, q3, q4 stand in this order?" in q for q in drawn.questions)
+
+
+def test_a_robot_of_fewer_joints_than_were_recorded_is_refused(robot: Path) -> None:
+    columns = {"t": T, **{f"q{k}": np.sin(k * T) for k in range(1, 6)}}
+    with pytest.raises(ModelError, match=r"has 4 joints .* the recording 5 positions"):
+        draft_model(Table(columns, {}, {}, Path("run.csv")), robot=robot)
+
+
+def test_the_command_line_takes_the_robot_beside_the_recording(
+    robot: Path, tmp_path: Path
+) -> None:
+    rows = np.column_stack([T, np.sin(T), np.cos(T)])
+    run = tmp_path / "run.csv"
+    np.savetxt(run, rows, delimiter=",", header="t,elbow.position,elbow.effort", comments="")
+    out = tmp_path / "models" / "arm.toml"
+    done = CliRunner().invoke(
+        main, ["model", "new", str(run), "--robot", str(robot), "-o", str(out)]
+    )
+    assert done.exit_code == 0, done.output
+    assert load_model(out).robot.joints == ("elbow",)
