@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from drafts import N, T
 
-from zendsp.cli import main
+from zendsp.cli.model import command
 from zendsp.errors import ModelError
 from zendsp.physics.files.draft import draft_model
 from zendsp.physics.files.model_file import load_model
@@ -88,8 +88,6 @@ def test_the_command_line_takes_the_robot_beside_the_recording(
     run = tmp_path / "run.csv"
     np.savetxt(run, rows, delimiter=",", header="t,elbow.position,elbow.effort", comments="")
     out = tmp_path / "models" / "arm.toml"
-    done = CliRunner().invoke(
-        main, ["model", "new", str(run), "--robot", str(robot), "-o", str(out)]
-    )
+    done = CliRunner().invoke(command, ["new", str(run), "--robot", str(robot), "-o", str(out)])
     assert done.exit_code == 0, done.output
     assert load_model(out).robot.joints == ("elbow",)
