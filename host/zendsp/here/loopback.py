@@ -26,4 +26,4 @@ def is_own(host: str, port: int, peer_port: int) -> bool:
     nobody tells, and all are.
     """
     users = {user for at, user in connections(host, port) if at == peer_port}
-    return not sys.platform.startswith("linux") or bool(users) and users <= {os.getuid(), 0}
+    return not sys.platform.startswith("linux") or (bool(users) and users <= {os.getuid(), 0})
