@@ -49,10 +49,9 @@ async def refuse_strangers(request: web.Request, handler: Handler) -> web.Stream
     """Answer 403 to requests from other pages, and to those of other users of this computer."""
     if not is_ours(request.host, request.headers.get("Origin")):
         raise web.HTTPForbidden(text="zendsp serves pages of this computer only")
-    link = request.transport
-    if link is None or not is_own(
-        *link.get_extra_info("sockname"), link.get_extra_info("peername")[1]
-    ):
+    assert request.transport is not None
+    (host, port), (_, at) = map(request.transport.get_extra_info, ("sockname", "peername"))
+    if not is_own(host, port, at):
         raise web.HTTPForbidden(text="zendsp serves the user who started it only")
     return await handler(request)
 
