@@ -50,12 +50,14 @@ class Ports:
     def told(self, references: Sequence[int], values: Array) -> Array:
         """Values in SI as the FMU wants them."""
         factor, offset = np.array([self.units[r] for r in references]).T
-        return (values - offset) / factor
+        out: Array = (values - offset) / factor
+        return out
 
     def said(self, values: Array) -> Array:
         """Outputs of the FMU in SI."""
         factor, offset = np.array([self.units[r] for r in self.outputs]).T
-        return factor * values + offset
+        out: Array = factor * values + offset
+        return out
 
 
 class Fmu:
@@ -303,8 +305,10 @@ class _Instance:
         if not self.three:
             s.setupExperiment(startTime=0.0)
         numbers = [*(np.atleast_1d(parameters[name])[0] for name in p.parameters)]
-        for key, at in (("position", p.start_position), ("velocity", p.start_velocity)):
-            numbers += [*p.told(at, np.atleast_1d(recording[key][0]))] if at else []
+        for at, values in (
+            (p.start_position, recording["position"]), (p.start_velocity, recording["velocity"]),
+        ):  # fmt: skip
+            numbers += [*p.told(at, np.atleast_1d(values[0]))] if at else []
         # at once: each call of an FMU's costs as much as a row of a small one
         self._set((*p.parameters.values(), *p.start_position, *p.start_velocity), numbers)
         if self.three:
