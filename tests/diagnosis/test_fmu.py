@@ -36,9 +36,9 @@ INERTIA, DAMPING, WEIGHT, RATE = 0.02, 0.03, 0.5, 250
 DRY = 0.06  # N m, what the recording has and the FMU has not
 
 # J q'' = u - b q' - G sin(q), two Runge-Kutta steps a communication step; ``bad``: 1 dies, 2 never
-# ends, 3 refuses the step, 4 talks
+# ends, 3 refuses the step, 4 talks, 5 answers with no number
 PHYSICS = r"""
-#include <math.h>    /* sin */
+#include <math.h>    /* sin, NAN */
 #include <stdio.h>   /* printf */
 #include <stdlib.h>  /* calloc, free, abort */
 #include <unistd.h>  /* pause */
@@ -52,6 +52,7 @@ static int advance(double *p, double h) {
     if (p[6] == 1) abort();
     while (p[6] == 2) pause();
     if (p[6] == 3) return 3;
+    if (p[6] == 5) p[1] = NAN;
     if (p[6] == 4) printf("{\"not\": \"json\"}\n"), fflush(stdout);
     for (int n = 0; n < 2; n++) {
         double k1[2], k2[2], x[2], dt = h / 2;
@@ -316,9 +317,43 @@ def test_versions_and_numbers_of_processes_agree(shop: Path, tmp_path: Path) -> 
     assert a[0][1, 0] == pytest.approx(0.5 / RATE, rel=0.05)
 
 
+def test_units_that_an_fmu_states_are_converted(shop: Path, tmp_path: Path) -> None:
+    """It answered in degrees, which were taken as rad: a dead zone was named, as sure as 90 %."""
+    degree, milli = np.pi / 180.0, 1e-3
+    said = description("2.0").replace("<ModelVariables>", (
+        f'<UnitDefinitions><Unit name="o"><BaseUnit rad="1" factor="{degree}"/></Unit>'
+        f'<Unit name="o/s"><BaseUnit rad="1" s="-1" factor="{degree}"/></Unit></UnitDefinitions>'
+        "<ModelVariables>"
+    ))  # fmt: skip
+    for name, unit in (("torque", "mN.m"), ("angle", "o"), ("speed", "o/s")):  # one by its name
+        said = re.sub(rf'(name="{name}".*?<Real)', rf'\1 unit="{unit}"', said)
+    with zipfile.ZipFile(shop / "p2.fmu") as plain, zipfile.ZipFile(
+        tmp_path / "units.fmu", "w"
+    ) as archive:  # fmt: skip
+        archive.writestr("modelDescription.xml", said)
+        library = next(name for name in plain.namelist() if name.endswith(".so"))
+        archive.writestr(library, plain.read(library))
+    answers = []
+    for file, ratio in ((shop / "p2.fmu", 1.0), (tmp_path / "units.fmu", degree / milli)):
+        model = write_model(tmp_path, file)
+        # without weight it is linear: in degrees it turns as one of another inertia and damping
+        text = model.read_text().replace(f"G = {{ value = {WEIGHT}", "G = { value = 0.0")
+        for value in (0.0205, DAMPING):
+            text = text.replace(f"value = {value}", f"value = {value * ratio}")
+        model.write_text(text)
+        answers.append(simulate(model))
+    for one, other in zip(*answers, strict=True):
+        assert other == pytest.approx(one, rel=1e-9, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("bad", "words"),
-    [(1, "ended its process by SIGABRT"), (2, "did not answer within"), (3, "doStep answered")],
+    [
+        (1, "ended its process by SIGABRT"),
+        (2, "did not answer within"),
+        (3, "doStep answered"),
+        (5, "positions that are no finite numbers"),
+    ],
 )
 def test_an_fmu_that_dies_hangs_or_refuses_is_one_sentence(
     shop: Path, tmp_path: Path, bad: int, words: str

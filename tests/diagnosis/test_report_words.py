@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -147,3 +148,15 @@ def test_each_joint_that_stays_unexplained_has_a_line_whatever_its_words() -> No
 def test_a_number_that_rounds_to_nothing_has_no_sign() -> None:
     assert number(Estimate(-0.001, 0.1, "rad")) == "0.00 ± 0.10 rad"
     assert number(Estimate(-0.0, 0.0, "rad")) == "0 rad"
+
+
+@pytest.mark.parametrize("name", ["model.toml", "calibrated.toml", "compensation.c"])
+def test_a_report_writes_through_no_link_into_a_file_elsewhere(tmp_path: Path, name: str) -> None:
+    precious = tmp_path / "precious.txt"
+    precious.write_text("precious")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).symlink_to(precious)
+    files._clear(out)
+    (out / name).write_text("of the report")
+    assert precious.read_text() == "precious"

@@ -101,6 +101,36 @@ def test_watch_says_at_once_what_stopped_the_program(target: Target) -> None:
         process.kill()
 
 
+def test_watch_goes_on_with_a_longer_array_and_says_which_variable_is_gone(target: Target) -> None:
+    """It ended with a traceback, or waited for ever: "the program runs"."""
+
+    def run(array: str, length: int) -> None:
+        target.download(
+            {
+                "p.c": f"""#include "isr.h"
+static double {array}[{length}];
+void UserInit(void) {{ SIGNAL({array}, "rad", "x"); }}
+void UserISR_INT2(void) {{ {array}[{length - 1}] = {length}; }}"""
+            }
+        )
+        target.start()
+
+    run("past", 2)
+    command = [sys.executable, "-u", "-c", "from zendsp.cli import main; main()"]
+    words = [*command, "watch", "past", "-t", target.name, "--interval", "0.02"]
+    with subprocess.Popen(words, stdout=-1, stderr=-1, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert "past[1]" in process.stdout.readline()
+        run("past", 3)
+        while "past[2]" not in (line := process.stdout.readline()):
+            assert line, process.stderr.read()
+        assert line.split()[-3:] == ["past[2]", "3", "rad"]
+        run("hist", 3)
+        while "has no past now" not in (line := process.stderr.readline()):
+            assert line
+        process.kill()
+
+
 @pytest.mark.long("the tests beside it watch; lost: a narrow terminal")
 def test_watch_in_a_narrow_terminal_changes_in_place(target: Target) -> None:
     target.download("pd.c")

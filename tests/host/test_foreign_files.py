@@ -160,7 +160,8 @@ def test_an_unreadable_kind_of_file_is_refused_with_the_command_that_converts_it
     for name, command in (
         ("run.xlsx", "libreoffice --headless --convert-to csv"),
         ("run.ulg", "ulog2csv"),
-        ("a.pkl", "pandas.read_pickle"),
+        ("a.pkl", r"pandas.read_pickle.*\.pkl .*\.csv  \(only where you trust its author"),
+        ("a;b.feather", r"pandas.read_feather.*'.*a;b\.feather' '.*a;b\.csv'"),
     ):
         (tmp_path / name).write_bytes(b"x" * 99)
         with pytest.raises(RecordingError, match=f"convert it: .*{command}"):

@@ -147,6 +147,38 @@ def test_first_numbers_come_from_the_longest_part_without_a_gap() -> None:
     assert model_of(draft.text).mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.05)
 
 
+def test_joints_that_are_told_by_a_word_are_asked_about() -> None:
+    """An antenna was a machine of one joint, its elevation "not used" without a question."""
+    one = recording()
+    columns = {"t": one["t"], "az_deg": one["q"], "el_deg": one["q"], "az_Nm": one["tau"]}
+    units = {"az_deg": "rad", "el_deg": "rad", "az_Nm": "N m", "el_Nm": "N m"}
+
+    def asked() -> list[str]:
+        draft = draft_model(Table(columns, units, {}, Path("antenna.csv")))
+        return [question for question in draft.questions if "more joints" in question]
+
+    assert asked() == [], "a second position may be the same joint's"
+    columns["el_Nm"] = one["tau"]
+    (question,) = asked()
+    assert 'position = ["az_deg", "el_deg"] and command = ["az_Nm", "el_Nm"]' in question
+
+
+@pytest.mark.parametrize("begins", [0.0, -np.pi])
+def test_first_numbers_of_an_angle_that_begins_anew_are_those_of_the_joint(begins: float) -> None:
+    """It had "the recording does not show the inertia", of an antenna's azimuth from 0 to 360."""
+    columns = recording()
+    whole = columns["q"] + begins  # it passes through the end of the range many times
+    columns["q"] = begins + np.mod(columns["q"], 2 * np.pi)
+    first, put = (
+        model_of(draft_model(Table({**columns, "q": q}, {"tau": "N m"}, {}, Path("run.csv"))).text)
+        for q in (whole, columns["q"])
+    )
+    assert np.sum(np.abs(np.diff(columns["q"])) > 6.0) >= 4
+    assert put.mechanism["inertia"][0].value == pytest.approx(
+        first.mechanism["inertia"][0].value, rel=0.01
+    )
+
+
 def test_degrees_and_milliseconds_are_converted_to_si(tmp_path: Path) -> None:
     one = recording()
     rows = np.column_stack([T * 1e3, np.degrees(one["q"]), one["tau"] * 1e3])

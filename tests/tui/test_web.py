@@ -302,6 +302,22 @@ async def test_pages_of_strangers_are_refused(served: Served) -> None:
             await session.ws_connect(f"{served.base}/ws", headers={"Origin": "http://evil.example"})
 
 
+@pytest.mark.skipif(os.getuid() != 0, reason="only root may be another user")
+async def test_another_user_of_this_computer_gets_no_page(served: Served) -> None:
+    """Whoever has a page moves the machine, and runs code as the user who serves it."""
+    code = (
+        "import sys, urllib.request as r, urllib.error as e\n"
+        "try: print(r.urlopen(sys.argv[1], timeout=20).status)\n"
+        "except e.HTTPError as error: print(error.code)"
+    )
+    for user, answer in ((0, "200"), (65534, "403")):
+        done = await asyncio.to_thread(
+            subprocess.run, ["/usr/bin/env", "python3", "-I", "-c", code, served.base],
+            user=user, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.stdout.strip() == answer, done
+
+
 @pytest.mark.parametrize(
     ("host", "origin", "ours"),
     [

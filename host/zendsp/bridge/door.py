@@ -9,16 +9,15 @@ is random.
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import secrets
 import socket
 import struct
 import sys
 import threading
-from collections.abc import Iterator
 from urllib.parse import urlsplit
 
+from zendsp.here.loopback import connections, is_own
 from zendsp.link.background import background
 
 HOST = "127.0.0.1"
@@ -52,18 +51,6 @@ def welcome(origin: str) -> bool:
     if found.scheme in ("http", "https"):
         return name in OWN_PAGES or (found.scheme == "https" and name.endswith(VIEWER))
     return origin == "" or found.scheme == "file"
-
-
-def connections(host: str, port: int) -> Iterator[tuple[int, int]]:
-    """Port and user of each connection to an address of this computer (Linux)."""
-    packed = socket.inet_aton(host)
-    shown = (packed[::-1] if sys.byteorder == "little" else packed).hex().upper()
-    for table in ("tcp", "tcp6"):
-        with contextlib.suppress(OSError), open(f"/proc/net/{table}", encoding="ascii") as file:
-            for fields in map(str.split, list(file)[1:]):
-                at, _, number = fields[2].partition(":")
-                if at.endswith(shown) and int(number, 16) == port and fields[3] == "01":
-                    yield int(fields[1].rpartition(":")[2], 16), int(fields[7])
 
 
 class Door:
@@ -112,9 +99,7 @@ class Door:
 
     def _admit(self, link: socket.socket, port: int) -> None:
         with link, contextlib.suppress(OSError):
-            users = {user for at, user in connections(HOST, self.port) if at == port}
-            known = users and users <= {os.getuid(), 0}
-            if sys.platform.startswith("linux") and not known:
+            if not is_own(HOST, self.port, port):
                 return
             link.settimeout(HEAD_S)
             head = _head(link)

@@ -71,12 +71,12 @@ def command(
             last, came = newest["t"], now if new else came
             still = WAITS if now > came + ASK_S else ""  # an old row is no new line
             if not (new or rewrite):
-                waited = _say_once(t, still, waited)
+                waited = _say_once(t, view, still, waited)
                 continue
             waited = ""
             parts = [
                 f"{name} {short(value):>12} {unit}".rstrip()
-                for (name, value), unit in zip(newest.items(), ("s", *view.units), strict=True)
+                for (name, value), unit in zip(newest.items(), ("s", *view.units), strict=False)
             ] + [f"({still})"] * bool(still)
             if rewrite:
                 lines = in_rows(parts, shutil.get_terminal_size().columns)
@@ -108,18 +108,22 @@ def in_rows(parts: Sequence[str], width: int) -> list[str]:
     return [row[: width - 1] for row in rows]
 
 
-def _say_once(target: Target, text: str, told: str) -> str:
+def _say_once(target: Target, view: LiveView, text: str, told: str) -> str:
     """Say why no rows come, unless that was said already; return what was said."""
     if text and not told:
-        click.echo(_waiting(target), err=True)
+        click.echo(_waiting(target, view), err=True)
     return text or told
 
 
-def _waiting(target: Target) -> str:
-    """That no rows come, and the state of the program, which may be why."""
+def _waiting(target: Target, view: LiveView) -> str:
+    """That no rows come, and what may be why: the state of the program, or another program."""
     state = target.status().state
-    why = f"the program is {state}" if state != ProgramState.RUNNING else "the program runs"
-    return f"{WAITS}: {why}"
+    if state != ProgramState.RUNNING:
+        return f"{WAITS}: the program is {state}"
+    had = target.builtins() | target.variables()
+    names = dict.fromkeys(name.partition("[")[0] for name in view.columns)
+    gone = ", ".join(name for name in names if name not in had)
+    return f"{WAITS}: the program " + (f"has no {gone} now" if gone else "runs")
 
 
 def _trouble(target: Target, told: str, begin: str = "") -> str:
@@ -138,6 +142,6 @@ def _first(target: Target, view: LiveView) -> dict[str, float]:
     while view.next_block(ASK_S) is None:
         told = _trouble(target, told)
         if not (told or waits):
-            click.echo(_waiting(target), err=True)
+            click.echo(_waiting(target, view), err=True)
             waits = True
     return view.latest()

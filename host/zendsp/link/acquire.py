@@ -21,7 +21,7 @@ from zendsp.errors import (
 )
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S, Requests
-from zendsp.link.transfer import Transfers
+from zendsp.link.transfer import Transfers, room
 from zendsp.prompt import shows_progress
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
@@ -30,7 +30,6 @@ from zendsp_protocol.states import Clock, ProgramState, RecorderState, TripReaso
 if TYPE_CHECKING:
     import numpy as np
 
-    from zendsp.link.transfer import FloatArray
     from zendsp.recording import Recording
 else:
     np = Lazily("numpy")
@@ -209,8 +208,7 @@ class Recorder(Transfers):
         deadline = None if timeout is None else time.monotonic() + timeout
         status: m.AcquireStatus = self.insist("acquire_status", patience)
         begun = status.begun
-        # memory is taken as rows come: to fill 6 GB now would take half a minute, deaf to Ctrl-C
-        data: FloatArray = np.empty((wanted, len(status.channels)))
+        data = room(wanted, len(status.channels))
         have = gone = 0
         while have < wanted:
             status = self.insist("acquire_status", patience)

@@ -175,12 +175,23 @@ class LiveView:
             self.received += header.rows
             block = LiveBlock(t, data, header.tick, gap)
             if fresh or self._window is None:
+                self._named(header.columns)
                 self._window = _Window(self._rows_kept, len(header.columns))
             self._blocks.append(block)
             self._window.append(block)
             self._lock.notify_all()
         if self._callback is not None:
             self._callback(block)
+
+    def _named(self, columns: tuple[str, ...]) -> None:
+        """Take over the names of the columns: another program may have a longer array."""
+        if columns != self.columns:
+            units = {
+                name.partition("[")[0]: unit
+                for name, unit in zip(self.columns, self.units, strict=True)
+            }
+            self.units = tuple(units.get(name.partition("[")[0], "") for name in columns)
+            self.columns = columns
 
     def __iter__(self) -> Iterator[LiveBlock]:
         """Yield blocks as they arrive, until the view is closed."""
@@ -205,7 +216,7 @@ class LiveView:
             if self._window is None:
                 return {}
             t, row = self._window.newest()
-        return {"t": t, **dict(zip(self.columns, row, strict=True))}
+            return {"t": t, **dict(zip(self.columns, row, strict=True))}
 
     def window(self) -> tuple[FloatArray, FloatArray]:
         """The last ``history`` s: times (N,) and data (N, columns), with one row of NaN for a gap.

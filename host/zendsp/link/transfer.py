@@ -35,11 +35,29 @@ PIECE_BYTES = 16 << 20  # read at once from shared memory: progress is told in b
 MOST_IDLE = 3  # requests in a row without a single row, until it is given up
 
 
+def room(rows: int, columns: int) -> FloatArray:
+    """Memory for rows. It is taken as they come: to fill 6 GB now would take half a minute, deaf to
+    Ctrl-C.
+
+    Raises
+    ------
+    AcquisitionError
+        The computer has not as much.
+    """
+    try:
+        return np.empty((rows, columns))
+    except (MemoryError, ValueError):  # more than there is, or than can be counted
+        raise AcquisitionError(
+            f"{rows} rows of {columns} columns take {8e-9 * rows * columns:.3g} GB, more than this"
+            " computer has: acquire for a shorter time, or with a decimation"
+        ) from None
+
+
 class Rows:
     """Memory for rows: each chunk that arrives is checked and put in its place."""
 
     def __init__(self, columns: int, rows: int) -> None:
-        self.data: FloatArray = np.empty((rows, columns))
+        self.data = room(rows, columns)
         self.pieces: list[tuple[int, int]] = []
         self.origin = 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -47,21 +48,18 @@ BAG = "metadata.yaml"  # what makes a folder a bag of rosbag2
 SAID = 160  # characters of what another library said of a damaged file
 REPR = 80  # characters of names that a prompt shows
 ROBOTS = (".urdf", ".xacro", ".xml", ".mjcf")
+_PANDAS = 'python -c "import pandas, sys; pandas.'
+_TO_CSV = '(sys.argv[1]).to_csv(sys.argv[2], index=False)" {path} {csv}'
 CONVERSIONS = {  # suffixes of what is not read: the command that makes something of it that is
     ".xlsx": "libreoffice --headless --convert-to csv {path}",
     ".xls": "libreoffice --headless --convert-to csv {path}",
     ".ods": "libreoffice --headless --convert-to csv {path}",
     ".ulg": "pip install pyulog && ulog2csv {path}",
     ".blf": "pip install asammdf[gui] && asammdf  (Open, then Bus logging, then Save as .mf4)",
-    ".feather": (
-        "python -c \"import pandas; pandas.read_feather('{path}').to_csv('{stem}.csv',"
-        ' index=False)"'
-    ),
-    ".pkl": "python -c \"import pandas; pandas.read_pickle('{path}').to_csv('{stem}.csv')\"",
-    ".json": (
-        "python -c \"import pandas; pandas.read_json('{path}').to_csv('{stem}.csv', index=False)\""
-    ),
-    ".sldata": 'matlab -batch "load {path} -mat; save {stem}.mat -v7.3"',
+    ".feather": f"{_PANDAS}read_feather{_TO_CSV}",
+    ".pkl": f"{_PANDAS}read_pickle{_TO_CSV}  (only where you trust its author: a pickle runs code)",
+    ".json": f"{_PANDAS}read_json{_TO_CSV}",
+    ".sldata": 'matlab -batch "load {path} -mat; save {mat} -v7.3"',
     ".zip": "unzip {path}",
     ".gz": "gunzip {path}",
     ".zst": "unzstd {path}",
@@ -229,7 +227,9 @@ def _convert(path: Path) -> str:
     command = CONVERSIONS.get(path.suffix.lower())
     if command is None:
         return f"expected {', '.join(READERS)}"
-    return f"convert it: {command.format(path=path, stem=path.with_suffix(''))}"
+    names = {"path": path, "csv": path.with_suffix(".csv"), "mat": path.with_suffix(".mat")}
+    quoted = {key: shlex.quote(str(name)) for key, name in names.items()}
+    return f"convert it: {command.format(**quoted)}"
 
 
 def _damaged(path: Path, error: Exception) -> RecordingError:

@@ -18,6 +18,7 @@ from aiohttp import web
 from textual_serve.app_service import AppService
 from textual_serve.server import Server, to_int
 
+from zendsp.here.loopback import is_own
 from zendsp.parent import call
 
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
@@ -45,9 +46,13 @@ def is_ours(request_host: str, origin: str | None) -> bool:
 
 @web.middleware
 async def refuse_strangers(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """Answer 403 to requests from other pages."""
+    """Answer 403 to requests from other pages, and to those of other users of this computer."""
     if not is_ours(request.host, request.headers.get("Origin")):
         raise web.HTTPForbidden(text="zendsp serves pages of this computer only")
+    assert request.transport is not None
+    (host, port), (_, at) = map(request.transport.get_extra_info, ("sockname", "peername"))
+    if not is_own(host, port, at):
+        raise web.HTTPForbidden(text="zendsp serves the user who started it only")
     return await handler(request)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.physics.kernel.signals import ALL_OF_RANGE
 from zendsp.physics.kernel.smooth import moving_median
 
 Array = npt.NDArray[np.float64]
@@ -19,9 +20,6 @@ JUMP_ROWS = 20  # before a jump, and after it, that show the usual step there
 BACK = 0.1  # of a jump: most that the next row leaves of a spike: chosen, not measured
 LASTING_ROWS = 5  # rows: a fast motion lasts longer than half of them, a spike and a jump do not
 RARE_ROWS = 0.01  # of the rows at most: a sensor with more of them is not to be mended
-# of the position's span: a counter that begins anew falls by all of its range, which the joint has
-# then passed through
-ALL_OF_RANGE = 0.9
 
 
 def stands_out(

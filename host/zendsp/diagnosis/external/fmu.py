@@ -27,6 +27,7 @@ from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.errors import ModelError
 from zendsp.extras import need
 from zendsp.physics.model import Model
+from zendsp.recording.units import to_si
 
 Array = npt.NDArray[np.float64]
 
@@ -44,6 +45,19 @@ class Ports:
     start_position: tuple[int, ...]
     start_velocity: tuple[int, ...]
     parameters: Mapping[str, int]
+    units: Mapping[int, tuple[float, float]]  # by reference: SI = factor * value + offset
+
+    def told(self, references: Sequence[int], values: Array) -> Array:
+        """Values in SI as the FMU wants them."""
+        factor, offset = np.array([self.units[r] for r in references]).T
+        out: Array = (values - offset) / factor
+        return out
+
+    def said(self, values: Array) -> Array:
+        """Outputs of the FMU in SI."""
+        factor, offset = np.array([self.units[r] for r in self.outputs]).T
+        out: Array = factor * values + offset
+        return out
 
 
 class Fmu:
@@ -139,6 +153,10 @@ class Fmu:
             references("start_position", starts[0]),
             references("start_velocity", starts[1]),
             {name: references("[mechanism.parameters]", [name])[0] for name in model.mechanism},
+            {
+                int(variables[name].valueReference): _unit(self.description, variables[name])
+                for name in (*inputs, *outputs, *starts[0], *starts[1])
+            },
         )
 
     def run(self, recordings: Sequence[Columns], parameters: Parameters) -> list[Array]:
@@ -286,19 +304,21 @@ class _Instance:
         self.fresh = False
         if not self.three:
             s.setupExperiment(startTime=0.0)
-        begin = {k: np.atleast_1d(recording[k][0]) for k in ("position", "velocity")}
         numbers = [*(np.atleast_1d(parameters[name])[0] for name in p.parameters)]
-        numbers += [*begin["position"]] if p.start_position else []
-        numbers += [*begin["velocity"]] if p.start_velocity else []
+        for at, values in (
+            (p.start_position, recording["position"]), (p.start_velocity, recording["velocity"]),
+        ):  # fmt: skip
+            numbers += [*p.told(at, np.atleast_1d(values[0]))] if at else []
         # at once: each call of an FMU's costs as much as a row of a small one
         self._set((*p.parameters.values(), *p.start_position, *p.start_velocity), numbers)
         if self.three:
             s.enterInitializationMode(startTime=0.0)
         else:
             s.enterInitializationMode()
+        command = p.told(p.inputs, command)
         self._set(p.inputs, command[0])
         s.exitInitializationMode()
-        return self._replayed(command, step)
+        return p.said(self._replayed(command, step))
 
     def _replayed(self, command: Array, step: float) -> Array:
         """The outputs of all rows. A row costs three foreign calls and no fmpy objects, which would
@@ -346,6 +366,18 @@ class _Instance:
             lambda x: put(c, writes, ctypes.c_size_t(m), x, ctypes.c_size_t(m)),
             step,
         )
+
+
+def _unit(description: Any, variable: Any) -> tuple[float, float]:
+    """Factor and offset from a variable's unit to SI: as the FMU defines it, else as its name says;
+    one without a unit is in SI, as a column of a recording is.
+    """
+    name = variable.unit or getattr(variable.declaredType, "unit", None) or ""
+    defined = next((u.baseUnit for u in description.unitDefinitions if u.name == name), None)
+    if defined is not None:
+        return float(defined.factor or 1.0), float(defined.offset or 0.0)
+    known = to_si(name)
+    return (known[0] if known else 1.0), 0.0
 
 
 def _check(what: str, status: int) -> None:

@@ -91,6 +91,11 @@ def _is_rigid(called: Called, at: State, torque: Array) -> bool:
     """Whether the simulator is a rigid body at most of some states, under the torques there."""
     late = max(ROWS_EACH + 2, round(ANEW_AFTER / called.sample_time))
     base = called.simulated(at, torque, called.numbers(), late)
+    if not np.isfinite(base).all():
+        raise ModelError(
+            f"{called.simulator.name}: gives positions that are no finite numbers, with the numbers"
+            " of the model file and from states of the recording"
+        )
     if not _starts(called, at, base):
         return False
     good = np.ones(len(at), dtype=bool)

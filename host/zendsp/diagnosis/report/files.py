@@ -91,7 +91,12 @@ def no_reference(d: Diagnosis) -> str:
 
 
 def _clear(folder: Path) -> None:
-    """Remove files of an earlier diagnosis that this one may not overwrite."""
+    """Remove files of an earlier diagnosis that this one may not overwrite, and links: through
+    these it would write into files elsewhere.
+    """
+    for name in ("model.toml", "calibrated.toml", "model.mjcf", "compensation.c", ".report.json"):
+        if (folder / name).is_symlink():
+            (folder / name).unlink()
     for chart in folder.glob(f"*{SUFFIX}"):
         chart.with_name(chart.name.removesuffix(SUFFIX) + ".png").unlink(missing_ok=True)
         chart.unlink()

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
-from zendsp.physics.kernel.signals import find_resolution
+from zendsp.physics.kernel.signals import ALL_OF_RANGE, find_resolution
 from zendsp.physics.kernel.smooth import polynomial
 from zendsp.recording import Recording, Table
 from zendsp.recording.notes import JointNote
@@ -306,6 +306,20 @@ class Idea:
     share: float
 
 
+def _put_together(q: Array) -> Array:
+    """A position without steps of nearly all its span: no motion is so fast, but an angle or a
+    counter that begins anew falls by all of its range.
+    """
+    step = np.diff(q)
+    anew = np.abs(step) > ALL_OF_RANGE * np.ptp(q)
+    if not anew.any() or anew.all():
+        return q
+    rows = np.arange(len(step))
+    step[anew] = np.interp(rows[anew], rows[~anew], step[~anew])
+    together: Array = q[0] + np.append(0.0, np.cumsum(step))
+    return together
+
+
 def first_idea(q: Array, u: Array, step: float, linear: bool) -> Idea | None:
     """Inertia and gravity by least squares beside friction and a bias, of the longest stretch of
     finite numbers; None where the command is hardly explained.
@@ -314,6 +328,7 @@ def first_idea(q: Array, u: Array, step: float, linear: bool) -> Idea | None:
     lacking = np.append(~np.isfinite(q + u), True)  # each is the last row of its stretch
     part = _longest(lacking)
     q, u = (x[part.start : part.stop - 1] for x in (q, u))
+    q = _put_together(q)
     if len(q) < 4 * window or np.std(u) == 0:
         return None
     speed, acceleration = (polynomial(q, window, 3, d, step) for d in (1, 2))

@@ -213,16 +213,42 @@ def put_columns(
     ]
     if behind:
         chosen["position_load"] = in_order(behind[0], position)
+    used = {name for group in chosen.values() for name in group.names}
+    if ask := _more_joints(groups, position, command, used):
+        page.line(ask=ask)
     for key, group in chosen.items():
         page.line(f"{key} = {group.spec}", group.unit)
     if command is None:
         page.choice('command = "…"')
-    used = {name for group in chosen.values() for name in group.names}
     page.unused = tuple(name for name in table.columns if name not in used)
     if page.unused:
         page.line(comment=f"not used: {', '.join(page.unused)}")
     for name, value in list(table.constants.items())[:12]:
         page.line(comment=f"also in the file: {name} = {value:g}")
+
+
+def _more_joints(
+    groups: dict[Role, list[Group]], position: Group, command: Group | None, used: set[str]
+) -> str:
+    """The question of further joints, whose names have nothing in common with those of the first:
+    positions and commands are left. Empty where they are not.
+    """
+    names = []
+    for first, role in ((position, Role.POSITION), (command, Role.COMMAND)):
+        left = [
+            name
+            for group in groups.get(role, [])
+            if not is_behind(group)
+            for name in group.names
+            if name not in used
+        ]
+        if first is None or not left:
+            return ""
+        names.append(json.dumps([*first.names, *left], ensure_ascii=False))
+    return (
+        f"are there more joints? Then write position = {names[0]} and command = {names[1]}, and"
+        " above a number for each joint, in the same order"
+    )
 
 
 def listed(values: list[float]) -> str:

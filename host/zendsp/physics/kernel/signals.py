@@ -32,6 +32,10 @@ SLOW = 0.5  # counts a sample: below, a constant code says only where the positi
 # their mean is wrong by exp(-2 pi^2 noise^2) / pi, which is less
 DITHERED = 0.2
 
+# of a position's span: an angle or a counter that begins anew falls by all of its range, which the
+# joint has then passed through
+ALL_OF_RANGE = 0.9
+
 # of a lattice: the steps that are looked at, and how they lie
 SMALL = 1e-9  # of the span: a smaller step is rounding of the numbers
 SMALLEST = 0.001  # quantile of the steps that is taken for one count, to begin with
