@@ -207,21 +207,8 @@ def _searched(
     strap: Strap | None = None
     seen_first = False
     while len(found) < limits.bodies:
-        tell(
-            Step.CALIBRATING.says(
-                "bodies: a payload, a wrong link, a tilted base, and what looks like them"
-            )
-        )
         layout = Layout(model, links)
-        to_fit = Sums(fit, model, limits, jobs)
-        tell(Step.CALIBRATING.says("bodies: what the recordings to choose by say"))
-        to_choose = Sums(choose, model, limits, jobs)
-        tell(Step.CALIBRATING.says("bodies: every hypothesis"))
-        tried, aside, first = _round(to_fit, to_choose, layout, limits)
-        if turns := {e.hypothesis.joint: float(e.values[0]) for e in tried if _is_zero(e, limits)}:
-            # as large as they are: the torque of another zero is no straight line
-            to_fit, to_choose = (Sums(x, model, limits, jobs, turns) for x in (fit, choose))
-            tried, aside, first = _round(to_fit, to_choose, layout, limits)
+        tried, aside, first = _explained(fit, choose, layout, limits, jobs, tell)
         best = tried[0]
         check_zero(choose, model, best, limits)
         seen_first = seen_first or any(_at_several(e, limits) for e in first)
@@ -260,6 +247,28 @@ def _searched(
         model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
     wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
     return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small, seen_first, strap)
+
+
+def _explained(
+    fit: Data, choose: Data, layout: Layout, limits: BodyLimits, jobs: int, tell: Progress
+) -> tuple[list[Explained], frozenset[int], list[Explained]]:
+    """As ``_round``, of the recordings."""
+    model = layout.model
+    tell(
+        Step.CALIBRATING.says(
+            "bodies: a payload, a wrong link, a tilted base, and what looks like them"
+        )
+    )
+    to_fit = Sums(fit, model, limits, jobs)
+    tell(Step.CALIBRATING.says("bodies: what the recordings to choose by say"))
+    to_choose = Sums(choose, model, limits, jobs)
+    tell(Step.CALIBRATING.says("bodies: every hypothesis"))
+    tried, aside, first = _round(to_fit, to_choose, layout, limits)
+    if turns := {e.hypothesis.joint: float(e.values[0]) for e in tried if _is_zero(e, limits)}:
+        # as large as they are: the torque of another zero is no straight line
+        to_fit, to_choose = (Sums(x, model, limits, jobs, turns) for x in (fit, choose))
+        return _round(to_fit, to_choose, layout, limits)
+    return tried, aside, first
 
 
 def _with_numbers(

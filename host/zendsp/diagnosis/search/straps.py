@@ -23,9 +23,9 @@ from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
 
 Array = npt.NDArray[np.float64]
-# of the polynomials: with the third a hose over two joints that move by 120 degrees is predicted
+# degree of the polynomials: with the third a hose over two joints that move by 120 degrees is predicted
 # half as well, with the fifth recordings of 14 s determine no numbers
-DEGREE = 4
+POLYNOMIAL = 4
 SPAN = 3  # neighbouring joints of one potential
 # parts of the blocks that are predicted by all the others, and blocks in a row of one part. So
 # judged, 6 hoses are 8 to 14 standard deviations better than the best body, and 9 bodies 4 to 13
@@ -46,7 +46,8 @@ class Potentials(Layout):
         self._middle = np.array([[0.5 * (x.max() + x.min())] for x in q])
         self._half = np.array([[max(0.5 * float(np.ptp(x)), 1e-9)] for x in q])
         span = min(SPAN, self.joints)
-        some = [p for p in product(range(DEGREE + 1), repeat=span) if 0 < sum(p) <= DEGREE]
+        every = product(range(POLYNOMIAL + 1), repeat=span)
+        some = [p for p in every if 0 < sum(p) <= POLYNOMIAL]
         last = self.joints - span
         each = [[(0,) * a + p + (0,) * (last - a) for p in some] for a in range(last + 1)]
         self._powers = list(dict.fromkeys(p for window in each for p in window))

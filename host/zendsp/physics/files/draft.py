@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -105,12 +106,7 @@ def draft_model(
         command = command and by_joints(command, joints_there)[0]
     page = Page()
     _head(page, table, f"{nothing}: why?" if bare else "")
-    for group in (position, command):
-        bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
-        if group is not None and bad:
-            many = "values that are no finite numbers"
-            what = many if bad > 1 else "value that is no finite number"
-            page.line(ask=f"{group.names[0]} has {bad} {what}: why?")
+    _ask_of_holes(page, [group for group in (position, command) if group is not None])
     name = (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
     page.line(f"name = {json.dumps(name, ensure_ascii=False)}")
     clock = best_group(groups, Role.TIME)
@@ -133,15 +129,17 @@ def draft_model(
         _mechanism(page, shown, driven, step, linear, known, unit)
     put_actuator(page, command, step, known)
     put_sensor(page, position, linear, known)
-    page.line()
-    page.line(
-        comment="The feedback law, where it is known: command = kp (reference - position) - kd"
-        " velocity."
-    )
-    for text in ("[controller]", 'kind = "pd"', "kp = 0.0", "kd = 0.0"):
-        page.choice(text)
+    _feedback(page)
     put_columns(page, table, groups, clock, position, command, joints)
     return Draft("\n".join(page.lines) + "\n", joints, tuple(page.questions), page.unused)
+
+
+def _ask_of_holes(page: Page, groups: Sequence[Group]) -> None:
+    for group in groups:
+        if bad := int(np.sum(~np.isfinite(group.values))):
+            many = "values that are no finite numbers"
+            what = many if bad > 1 else "value that is no finite number"
+            page.line(ask=f"{group.names[0]} has {bad} {what}: why?")
 
 
 def _head(page: Page, table: Table, ask: str) -> None:
@@ -222,6 +220,16 @@ def _others(machine: Machine, position: Group) -> str:
         " position: do the others matter? Record all positions as one array, 'q', and all commands"
         " as 'tau'; then what zendsp knows of the machine stands here"
     )
+
+
+def _feedback(page: Page) -> None:
+    page.line()
+    page.line(
+        comment="The feedback law, where it is known: command = kp (reference - position) - kd"
+        " velocity."
+    )
+    for text in ("[controller]", 'kind = "pd"', "kp = 0.0", "kd = 0.0"):
+        page.choice(text)
 
 
 def _mujoco(page: Page, machine: Machine) -> None:
