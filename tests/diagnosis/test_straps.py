@@ -8,13 +8,15 @@ from functools import partial
 from typing import Any
 
 import pytest
-from small_arms import Arm, recorded, searched
+from small_arms import Arm, prepared, recorded, searched
 from test_across import lacking, named
 
-from zendsp.diagnosis.decide.across import across_joints
+from zendsp.diagnosis.decide.across import across_joints, may_be_strapped
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search import bodies
-from zendsp.diagnosis.search.straps import Strap
+from zendsp.diagnosis.search.body_columns import Layout
+from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.diagnosis.search.straps import Strap, strap_in_place_of
 
 STRAP = Arm(strap=50.0)
 
@@ -67,3 +69,20 @@ def test_a_strap_that_no_joint_claims_is_claimed_where_most_is_missing() -> None
     assert across_joints([replace(d, kind="complete") for d in nobody], Strap((1, 2), 8.0))[
         1
     ].claims == ()
+
+
+def test_a_strap_that_joints_took_for_laws_of_their_own_has_one_potential(
+    record: Callable[..., Any],
+) -> None:
+    for arm, several in ((STRAP, True), (Arm(gain=1.1), False)):
+        model, paths = record(f"alone {arm.strap}", arm)
+        data = prepared((model, paths))
+        layout = Layout(model, data[0].records[0][0].links)
+        assert (strap_in_place_of([], data, layout, LIMITS, 1, alone=True) is not None) == several
+
+
+def test_a_strap_is_looked_for_where_two_joints_lack_something_over_their_positions() -> None:
+    pulled, other = lacking(1, "stiffness", coefficient=2.0), lacking(2, "coulomb", level=1.0)
+    assert may_be_strapped([pulled, other])
+    assert not may_be_strapped([pulled, replace(other, kind="complete", claims=())])
+    assert not may_be_strapped([lacking(1, "coulomb", level=1.0), other])

@@ -15,6 +15,7 @@ from zendsp.diagnosis.data.split import cut_out
 from zendsp.diagnosis.decide.across import (
     across_joints,
     friction_beside,
+    may_be_strapped,
     overshadowed,
     timing,
 )
@@ -56,8 +57,10 @@ from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, find_bodies
+from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
 from zendsp.diagnosis.search.hypothesis import JointSearch
+from zendsp.diagnosis.search.straps import Strap, strap_in_place_of
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import (
     Measured,
@@ -358,6 +361,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
         decisions = beside_bodies(claims, decisions, parts.test)
     else:
         decisions = or_bodies(found.bodies, decisions)
+    strap = found.bodies.strap or _strap_of(found, decisions, jobs)
     if claims or any(m.terms for m in found.measured):  # these are findings, not calibration
         own = upon(given, [m.calibrating(given) for m in found.measured])
         bases = [
@@ -368,13 +372,24 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     return replace(
         found,
         searches=searches,
-        decisions=shown(parts, found.bodies.model, across_joints(decisions, found.bodies.strap)),
+        decisions=shown(parts, found.bodies.model, across_joints(decisions, strap)),
         whole=whole,
         claims=claims,
         fine=tuple(
             finding_of(r, given.joint_kind(s.joint)) for s in searches for r in s.fine
         ),
     )
+
+
+def _strap_of(found: Found, decisions: Sequence[Decision], jobs: int) -> Strap | None:
+    """A force between links where joints claim what may be sections through its potential."""
+    fit, choose, model = found.parts.fit, found.parts.choose, found.bodies.model
+    links = fit.records[0][0].links
+    if links is None or len(links.bodies) < 2 or not may_be_strapped(decisions):
+        return None
+    bodies = [e.hypothesis for e in found.bodies.tried if e.hypothesis.of_bodies][:1]
+    layout = Layout(model, links)
+    return strap_in_place_of(bodies, (fit, choose), layout, LIMITS, jobs, alone=True)
 
 
 def _calibrated_beside(fit: Data, given: Model, improved: Model, jobs: int) -> Model:

@@ -84,6 +84,15 @@ def across_joints(decisions: Sequence[Decision], strap: Strap | None = None) -> 
     return out if strap is None else _as_one(out, strap)
 
 
+def may_be_strapped(decisions: Sequence[Decision]) -> bool:
+    """Whether some joint claims a torque over its position or a constant, and another joint lacks
+    something, too.
+    """
+    lacking = [d for d in decisions if d.kind in (Verdict.MISSING, Verdict.UNEXPLAINED)]
+    claims = [c for d in lacking for c in d.claims]
+    return len(lacking) > 1 and any(_pulls(c) or _may_be_one(c) for c in claims)
+
+
 def _as_one(decisions: Sequence[Decision], strap: Strap) -> list[Decision]:
     """The decisions, with the torque over position that the joints of a strap lack claimed once.
     """

@@ -217,7 +217,7 @@ def _searched(
         one = own if not found and own is not None else best
         if one.hypothesis.of_bodies and (one is own or proposed or _carried(best, limits)):
             around = frozenset() if one is own else aside
-            strap = strap_in_place_of(one.hypothesis, (fit, choose), layout, limits, jobs, around)
+            strap = strap_in_place_of([one.hypothesis], (fit, choose), layout, limits, jobs, around)
             if strap is not None:
                 break
         if not found and own is not None:

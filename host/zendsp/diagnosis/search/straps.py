@@ -9,7 +9,7 @@ body.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -23,7 +23,7 @@ from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
 
 Array = npt.NDArray[np.float64]
-# degree of the polynomials: with the third a hose over two joints that move by 120 degrees is predicted
+# degree of the polynomials: with the third a hose over joints that move by 120 degrees is predicted
 # half as well, with the fifth recordings of 14 s determine no numbers
 POLYNOMIAL = 4
 SPAN = 3  # neighbouring joints of one potential
@@ -52,7 +52,9 @@ class Potentials(Layout):
         each = [[(0,) * a + p + (0,) * (last - a) for p in some] for a in range(last + 1)]
         self._powers = list(dict.fromkeys(p for window in each for p in window))
         at = {p: f"{self.width + k}" for k, p in enumerate(self._powers)}
-        self.tried = [Hypothesis("strap", 0, "", tuple(at[p] for p in window)) for window in each]
+        self.tried = [_strap([at[p] for p in window]) for window in each]
+        # of each joint by itself
+        self.alone = _strap([key for p, key in at.items() if sum(k > 0 for k in p) == 1])
         self.width += len(self._powers)
 
     def place(self, h: Hypothesis, values: Array) -> Array:
@@ -76,10 +78,14 @@ class Potentials(Layout):
         return out
 
 
+def _strap(free: Sequence[str]) -> Hypothesis:
+    return Hypothesis("strap", 0, "", tuple(free))
+
+
 @dataclass(frozen=True)
 class Strap:
     """A force between links. ``joints``: from 1, those at which it pulls; ``z``: the standard
-    deviations by which it predicts better than a body.
+    deviations by which it predicts better than its nearest rival.
     """
 
     joints: tuple[int, ...]
@@ -87,15 +93,16 @@ class Strap:
 
 
 def strap_in_place_of(
-    body: Hypothesis,
+    bodies: Sequence[Hypothesis],
     data: tuple[Data, Data],
     layout: Layout,
     limits: BodyLimits,
     jobs: int,
-    aside: Collection[int],
+    aside: Collection[int] = (),
+    alone: bool = False,
 ) -> Strap | None:
-    """The force between links that predicts what the joints leave surely better than a body does;
-    None where none does.
+    """The force between links that predicts what the joints leave surely better than any of some
+    bodies does; None where none does.
 
     Both are fitted to three quarters of all blocks and judged on the rest, four times. A polynomial
     says nothing beyond the positions that it was fitted to, and recordings differ in these.
@@ -106,12 +113,15 @@ def strap_in_place_of(
         To fit to, and to choose by.
     aside : collection of int
         Joints (1-based) with a fault of their own.
+    alone : bool
+        Whether it has to predict better than functions of each joint's own position, too.
     """
     wide = Potentials(layout, data[0])
     fit, choose = (Sums(part, layout.model, limits, jobs, more=wide.torques) for part in data)
     blocks = fit.with_more(choose)
     turn = np.arange(blocks.counts.shape[1]) // IN_A_ROW % FOLDS
-    every = (body, *wide.tried)
+    rivals = (*bodies, *((wide.alone,) if alone else ()))
+    every = (*rivals, *wide.tried)
     gains: list[list[Array]] = [[] for _ in every]
     for k in range(FOLDS):
         solver = Solver(
@@ -120,10 +130,14 @@ def strap_in_place_of(
         none = solver.points(solver.at(Hypothesis("nothing"), np.zeros(0)))
         for gain, h in zip(gains, every, strict=True):
             gain.append(none - solver.points(solver.at(h, solver.estimate(h))))
-    own, *others = (np.concatenate(gain, axis=1) for gain in gains)  # (joints, blocks)
-    best = max(others, key=np.sum)
-    more = (best - own).sum(axis=0)
-    z = float(more.sum()) / max(spread(more - more.mean(), blocks.alike), 1e-9)
+    won = [np.concatenate(gain, axis=1) for gain in gains]  # (joints, blocks)
+    best = max(won[len(rivals) :], key=np.sum)
+    z = min(_ahead((best - rival).sum(axis=0), blocks.alike) for rival in won[: len(rivals)])
     at = best.sum(axis=1)
     joints = tuple(int(j) + 1 for j in np.flatnonzero(at > limits.share * at.sum()))
     return Strap(joints, z) if z > limits.tie and len(joints) > 1 else None
+
+
+def _ahead(more: Array, alike: int) -> float:
+    """A sum of gains over blocks, in standard deviations; ``alike`` neighbours are correlated."""
+    return float(more.sum()) / max(spread(more - more.mean(), alike), 1e-9)
