@@ -12,6 +12,7 @@ from small_arms import Arm, prepared, recorded, searched
 from test_across import lacking, named
 
 from zendsp.diagnosis.decide.across import across_joints, may_be_strapped
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.body_columns import Layout
@@ -86,3 +87,14 @@ def test_a_strap_is_looked_for_where_two_joints_lack_something_over_their_positi
     assert may_be_strapped([pulled, other])
     assert not may_be_strapped([pulled, replace(other, kind="complete", claims=())])
     assert not may_be_strapped([lacking(1, "coulomb", level=1.0), other])
+
+
+def test_what_pulls_by_times_at_two_joints_is_no_push() -> None:
+    nobody = [
+        replace(lacking(j, "coulomb", level=1.0), kind="unexplained", claims=()) for j in (1, 2)
+    ]
+    state = Structure(0.1, 0.9, 5.0)
+    pushed = replace(nobody[0], kind="disturbance", state=state, before=Size(0.2, 0.1, 0.3))
+    assert may_be_strapped([pushed, nobody[1]])
+    found = across_joints([pushed, nobody[1]], Strap((1, 2), 8.0))
+    assert named(found) == [[("unknown", "position_torque", ())], []]

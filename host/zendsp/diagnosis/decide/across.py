@@ -85,17 +85,20 @@ def across_joints(decisions: Sequence[Decision], strap: Strap | None = None) -> 
 
 
 def may_be_strapped(decisions: Sequence[Decision]) -> bool:
-    """Whether some joint claims a torque over its position or a constant, and another joint lacks
-    something, too.
+    """Whether some joint is pushed, or claims a torque over its position or a constant, and another
+    joint lacks something, too.
     """
-    lacking = [d for d in decisions if d.kind in (Verdict.MISSING, Verdict.UNEXPLAINED)]
+    lacking = [d for d in decisions if d.kind != Verdict.COMPLETE]
     claims = [c for d in lacking for c in d.claims]
-    return len(lacking) > 1 and any(_pulls(c) or _may_be_one(c) for c in claims)
+    pushed = any(d.kind == Verdict.DISTURBANCE for d in lacking)
+    return len(lacking) > 1 and (pushed or any(_pulls(c) or _may_be_one(c) for c in claims))
 
 
 def _as_one(decisions: Sequence[Decision], strap: Strap) -> list[Decision]:
     """The decisions, with the torque over position that the joints of a strap lack claimed once.
     """
+    pushed = {d.joint for d in decisions if d.kind == Verdict.DISTURBANCE} & {*strap.joints}
+    decisions = [unpushed(d) if d.joint in pushed else d for d in decisions]
     open_ones = [d for d in decisions if d.kind in (Verdict.MISSING, Verdict.UNEXPLAINED)]
     of_it = {d.joint: _over_place(d) for d in open_ones if d.joint in strap.joints}
     most = max(of_it, key=lambda j: of_it[j].size * decisions[j - 1].scale, default=0)
