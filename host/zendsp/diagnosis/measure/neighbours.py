@@ -172,14 +172,15 @@ def _surely(law: _Law, each: Sequence[_Seen], way: int, error: float) -> bool:
 
 def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
     """The bend that a law needs in a way, estimated beside all numbers, and its standard deviation
-    over blocks of time; none where more stays unexplained than the law has.
+    over blocks of time. None where more stays unexplained than the law has, or where the bend is
+    another number of the model (a constant has no exponent).
     """
     rest, _ = _rest(seen.own, seen, seen.wanted)
-    if sum(float(r @ r) for r in rest) > seen.energy:
-        return 0.0, math.inf
     bent = [s[0] * ways[way] for s, ways in zip(law.slopes, law.ways, strict=True)]
     along, _ = _rest(seen.own, seen, [x[0] for x in _as_seen(law, seen.band, bent)])
     weight = sum(float(x @ x) for x in along)
+    if sum(float(r @ r) for r in rest) > seen.energy or weight < RIDGE * seen.energy:
+        return 0.0, math.inf
     bend = sum(float(x @ r) for x, r in zip(along, rest, strict=True)) / weight
     scores = [x * (r - bend * x) for x, r in zip(along, rest, strict=True)]
     sums, _ = energy_blocks(law.data, scores, law.joint, seen.band)
