@@ -12,7 +12,7 @@ from made_claims import PARTS, claim_of, of_one_claim, piece
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
-from zendsp.diagnosis.decide import laws, patchwork, pieces
+from zendsp.diagnosis.decide import laws, patchwork
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.near import ANOTHER
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
@@ -75,18 +75,6 @@ def test_a_law_leaves_what_a_refinement_of_its_mechanism_takes_up(
     after = Size(0.001, 0.0, 0.3)
     judge = laws._Judge(PARTS, nothing, nothing, [first], 1, after, 0.0, ())
     assert judge._leaves_more(first, [first, patch], [first], None) is much
-
-
-@pytest.mark.parametrize(("own", "acts"), [(0.0, False), (0.01, False), (0.05, True)])
-def test_what_does_not_act_in_untouched_recordings_is_not_claimed_for_what_they_lack(
-    own: float, acts: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A stop, pressed in the recordings of the fit only, was a saturation of 86 %: without that the
-    calibrated friction was wrong.
-    """
-    monkeypatch.setattr(pieces, "torque_of", lambda *_: own)
-    nothing: Any = None
-    assert pieces._acts(nothing, nothing, (Term("saturation", 1, {}),), 0.05) is acts
 
 
 def test_laws_are_asked_again_beside_those_that_stand(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -79,7 +79,6 @@ def test_only_friction_that_the_given_model_lacks_is_expected(
     monkeypatch.setattr(pieces, "difference", lambda *_: 0.1)
     monkeypatch.setattr(pieces, "compare", lambda *_: Evidence(9.0, 9.0, np.ones(4)))
     monkeypatch.setattr(pieces, "log_e_value", lambda *_: 9.0)
-    monkeypatch.setattr(pieces, "_acts", lambda *_: True)
     monkeypatch.setattr(pieces, "_lacks", lambda *_: True)
     test: Any = SimpleNamespace(joints=1)
     terms = (Term("coulomb", 1, {}),)

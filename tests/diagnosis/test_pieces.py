@@ -363,7 +363,6 @@ def test_a_piece_is_not_worth_more_than_all_that_was_found(
     monkeypatch.setattr(pieces, "difference", lambda _, without, *__: sizes[without])
     monkeypatch.setattr(pieces, "compare", lambda *_: Evidence(9.0, 9.0, np.ones(4)))
     monkeypatch.setattr(pieces, "log_e_value", lambda *_: 0.0)
-    monkeypatch.setattr(pieces, "_acts", lambda *_: True)
     monkeypatch.setattr(pieces, "_lacks", lambda *_: True)
     new: list[Term] = []
     monkeypatch.setattr(pieces, "new_terms", lambda *_: new)

@@ -199,10 +199,9 @@ def piece_of(
         whole = difference(test, base.model, final.model, joint)
         without, size = (base, whole) if whole < size else (without, size)
     held = compare(without, final, test, joint)
-    acts = _acts(test, final.model, terms, size)
     size *= _unseen(test, final.model, terms, joint)
     log_e = log_e_value(held, without, final, test, joint)
-    lacks = acts and _lacks(test, without.model, final.model, terms, size)
+    lacks = _lacks(test, without.model, final.model, terms, size)
     expected = mechanism in FRICTION and not has(given, mechanism, joint)
     piece = Piece(mechanism, terms, without, size, held, log_e, lacks, expected)
     if not _likely(test, piece) or _even(piece):
@@ -232,13 +231,6 @@ def _unseen(test: Data, model: Model, terms: Sequence[Term], joint: int) -> floa
         whole += float(np.sum(torque[use] ** 2))
         seen += float(np.sum(as_it_is[use] ** 2))
     return max(1.0, math.sqrt(whole / seen)) if seen > 0.0 else 1.0
-
-
-def _acts(test: Data, model: Model, terms: Sequence[Term], size: float) -> bool:
-    """Whether some terms have the torque, in these recordings, that is missing without them. Where
-    they hardly act there, only the numbers of the calibrated model are wrong without them.
-    """
-    return torque_of(test, terms, model, terms[0].joint) > LACKED * min(size, 1.0)
 
 
 def _lacks(test: Data, without: Model, final: Model, terms: Sequence[Term], size: float) -> bool:

@@ -48,6 +48,9 @@ RIDGE = 1e-9  # of the mean square of a column
 # 11 to 75, right ones at most 1.2
 LARGER = 3.0
 SURELY = 3.0  # standard deviations of a bend that is not zero
+# of what a law leaves to an observer: a bend that takes up less may be its noise. A right spring
+# under a coarse encoder had one that took up less
+EXPLAINED = 0.1
 
 
 @dataclass(frozen=True)
@@ -172,16 +175,18 @@ def _surely(law: _Law, each: Sequence[_Seen], way: int, error: float) -> bool:
 
 def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
     """The bend that a law needs in a way, estimated beside all numbers, and its standard deviation
-    over blocks of time. None where more stays unexplained than the law has, or where the bend is
-    another number of the model (a constant has no exponent).
+    over blocks of time. None where it takes up little of what the law leaves, which noise of the
+    motion does, or where it is another number of the model (a constant has no exponent).
     """
     rest, _ = _rest(seen.own, seen, seen.wanted)
     bent = [s[0] * ways[way] for s, ways in zip(law.slopes, law.ways, strict=True)]
     along, _ = _rest(seen.own, seen, [x[0] for x in _as_seen(law, seen.band, bent)])
     weight = sum(float(x @ x) for x in along)
-    if sum(float(r @ r) for r in rest) > seen.energy or weight < RIDGE * seen.energy:
+    if weight < RIDGE * seen.energy:
         return 0.0, math.inf
     bend = sum(float(x @ r) for x, r in zip(along, rest, strict=True)) / weight
+    if bend**2 * weight < EXPLAINED * sum(float(r @ r) for r in rest):
+        return 0.0, math.inf
     scores = [x * (r - bend * x) for x, r in zip(along, rest, strict=True)]
     sums, _ = energy_blocks(law.data, scores, law.joint, seen.band)
     return bend, deviation(sums) / weight
