@@ -182,7 +182,7 @@ def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
     bent = [s[0] * ways[way] for s, ways in zip(law.slopes, law.ways, strict=True)]
     along, _ = _rest(seen.own, seen, [x[0] for x in _as_seen(law, seen.band, bent)])
     weight = sum(float(x @ x) for x in along)
-    if weight < RIDGE * seen.energy:
+    if weight <= RIDGE * seen.energy:
         return 0.0, math.inf
     bend = sum(float(x @ r) for x, r in zip(along, rest, strict=True)) / weight
     if bend**2 * weight < EXPLAINED * sum(float(r @ r) for r in rest):
