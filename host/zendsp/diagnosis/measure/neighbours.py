@@ -42,15 +42,15 @@ BENT_BY = 0.7
 SLOPE_STEP = 1e-3  # of a number's natural size, for slopes
 TURNS_ROUND = 0.02  # of the speed: below, dry friction changes direction
 LEAST_COUNTED = 0.1  # of a law's energy: with less, its shape is not seen
-SMALLEST = 1e-3  # of a law's size: below, its logarithm does not fall
+LEAST_LOG = 1e-3  # of a law's size: below, its logarithm does not fall
 RIDGE = 1e-9  # of the mean square of a column
 # largest factor on a neighbour's torque: drag that merges with the model's viscous friction needed
 # 11 to 75, right ones at most 1.2
 LARGER = 3.0
-SURELY = 3.0  # standard deviations of a bend that is not zero
+BENDS_SURELY = 3.0  # standard deviations of a bend that is not zero
 # of what a law leaves to an observer: a bend that takes up less may be its noise. A right spring
 # under a coarse encoder had one that took up less
-EXPLAINED = 0.1
+TAKEN_UP = 0.1
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _surely(law: _Law, each: Sequence[_Seen], way: int, error: float) -> bool:
     """
     found = [_bend(law, seen, way) for seen in each]
     sides = {math.copysign(1.0, bend) for bend, _ in found}
-    return len(sides) == 1 and all(abs(b) > max(error, SURELY * std) for b, std in found)
+    return len(sides) == 1 and all(abs(b) > max(error, BENDS_SURELY * std) for b, std in found)
 
 
 def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
@@ -185,7 +185,7 @@ def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
     if weight <= RIDGE * seen.energy:
         return 0.0, math.inf
     bend = sum(float(x @ r) for x, r in zip(along, rest, strict=True)) / weight
-    if bend**2 * weight < EXPLAINED * sum(float(r @ r) for r in rest):
+    if bend**2 * weight < TAKEN_UP * sum(float(r @ r) for r in rest):
         return 0.0, math.inf
     scores = [x * (r - bend * x) for x, r in zip(along, rest, strict=True)]
     sums, _ = energy_blocks(law.data, scores, law.joint, seen.band)
@@ -239,7 +239,7 @@ def _ways(record: JointRecord, law: Array, ranges: Ranges, common: bool) -> Arra
     the law (the logarithm of its size); along the travel; with speed (both from -1 to 1). For a law
     that every machine has the last two are laws themselves.
     """
-    power: Array = np.log(np.maximum(np.abs(law), SMALLEST))
+    power: Array = np.log(np.maximum(np.abs(law), LEAST_LOG))
     if common:
         return power[None]
     q, v, _ = record.motion.states
