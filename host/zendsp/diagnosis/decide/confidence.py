@@ -43,6 +43,13 @@ def stated(claim: Claim, decision: Decision) -> bool:
     return common or confidence(claim, decision) > _needed(claim.effect, decision)
 
 
+def likely_enough(name: str, ahead: float, decision: Decision) -> bool:
+    """Whether a law that predicts better than its neighbours by so many standard deviations is as
+    likely as one has to be that is named.
+    """
+    return NormalDist().cdf(ahead) > _needed(name, decision)
+
+
 def _needed(name: str, decision: Decision) -> float:
     """Probability above which an effect's law is named."""
     effect = get_effect(name)

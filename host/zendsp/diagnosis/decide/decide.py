@@ -55,6 +55,7 @@ from zendsp.diagnosis.decide.thresholds import (
     OF_STATE,
     PREDICTED,
     RUN_AWAY,
+    SIMULATORS_DIFFER,
     SURE,
     THROWN,
 )
@@ -92,7 +93,9 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     """
     out = _decided(parts, given, search, jobs, tell)
     if out.kind == Verdict.COMPLETE and (doubted := contradicted(out.lost)):
-        out = replace(out, kind=Verdict.UNEXPLAINED, doubted=doubted)
+        lacks = discrepancy(parts.fit, search.base.model, search.joint)
+        if lacks.high > SIMULATORS_DIFFER:  # or it is likelier as correlated noise is
+            out = replace(out, kind=Verdict.UNEXPLAINED, doubted=doubted)
     turning = not rubs(search.base.model, search.joint)
     if lost(parts, search.base.model, search.joint):
         return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,17 +11,17 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
-from zendsp.diagnosis.decide.confidence import confidence, stated
+from zendsp.diagnosis.decide.confidence import confidence, likely_enough, stated
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
-from zendsp.diagnosis.decide.near import LEAVES_MORE, doubt, why_curve
+from zendsp.diagnosis.decide.near import ANOTHER, LEAVES_MORE, doubt, why_curve
 from zendsp.diagnosis.decide.patchwork import (
+    bends,
     both_needed,
     draws_a_curve,
     is_curve,
     makes_another_grow,
     part_of_a_wave,
-    repeats,
     stand_on_nothing,
     twins,
 )
@@ -34,13 +34,13 @@ from zendsp.diagnosis.decide.pieces import (
     piece_of,
     rms_torque,
     rubs,
+    sure,
     taken_away,
     turns_round,
 )
 from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
-    BEHIND,
     BY_CHANCE,
     CURVE,
     LAW_ERROR,
@@ -202,7 +202,7 @@ class _Judge:
         pieces = len(own) + (level if of_position and len(own) > 1 else 0)
         return why_curve(
             {
-                LEAVES_MORE: self._leaves_more(piece, ranked, left),
+                LEAVES_MORE: self._leaves_more(piece, ranked, own, left),
                 "laws that are no harmonics of one, or not told apart, draw a curve": (
                     of_position and is_curve(ranked, travel)
                 ),
@@ -217,14 +217,26 @@ class _Judge:
             }
         )
 
-    def _leaves_more(self, piece: Piece, ranked: Sequence[Piece], left: Structure | None) -> bool:
+    def _leaves_more(
+        self,
+        piece: Piece,
+        ranked: Sequence[Piece],
+        own: Sequence[Piece],
+        left: Structure | None,
+    ) -> bool:
         kind = [p for p in self.claimed if p.mechanism in kind_of(piece.mechanism)]
         # neither a larger law's error nor the known discrepancy speaks against this law
         allowed = math.hypot(max(may_leave(p) for p in kind), self.known)
-        # torque over its own variables that the law leaves when it is alone
-        again = [p.size for p in ranked[1:] if repeats(p, ranked[0])]
         least = max(allowed, SIMULATORS_DIFFER)  # untouched recordings have to show this much
-        return math.hypot(*again) > allowed or (
+        # torque over its own variables that the law leaves when it is alone
+        law = _plain(ranked[0])[0]
+        beside = [
+            p.size
+            for p in ranked[1:]
+            if bends(self.final, _plain(p)[0], law, any(p is o for o in own))
+            and sure(self.parts.test, p)
+        ]
+        return math.hypot(*beside) > least or (
             left is not None and self.after.high > least and _surely_more(left, least)
         )
 
@@ -299,26 +311,19 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         for c in decision.claims
         if not any(c is t for t in twin) and _is_likely(c, decision, parts)
     ]
+    likely, alone, ahead, fell = _standing(likely, decision, parts, given, jobs)
     laws = {c.effect for c in likely if c.effect != "unknown"}
-    alone = _without_others(likely, decision, given, jobs)
-    most = _beside_doubted(likely, alone, decision, parts, given, jobs)
-    described = [c for c in likely if not _hid(c, alone, decision, parts)]
+    most = _beside_doubted(likely, fell, alone, decision, parts, given, jobs)
     keep, more = [], list(decision.refinements)
     doubted: set[str] = set()  # mechanisms: a law beside a doubted one may be a part of it
     for claim in decision.claims:
-        is_likely, is_law = (any(claim is k for k in some) for some in (likely, described))
-        why = doubt(confidence(claim, decision), is_likely)
-        if is_likely and not is_law:
-            why = LEAVES_MORE
+        key = id(claim)
+        why = fell.get(key) or doubt(confidence(claim, decision))
         if claim.effect == "unknown":
             if told_apart(claim, decision, parts, given, laws):
                 keep.append(without_law(claim, decision))
-        elif (
-            claim.mechanism not in doubted
-            and is_law
-            and (ahead := _goes_on(claim, alone, parts)) is not None
-        ):
-            keep.append(replace(claim, ahead=ahead, most=most.get(id(claim), 1.0)))
+        elif claim.mechanism not in doubted and key in ahead:
+            keep.append(replace(claim, ahead=ahead[key], most=most.get(key, 1.0)))
         elif (
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
@@ -337,6 +342,30 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     rubbing = {c.mechanism for c in keep if c.effect != "unknown"} & set(FRICTION)
     keep = [c if rubbing else by_its_variables(c, decision, parts, given) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
+
+
+def _standing(
+    likely: Sequence[Claim], decision: Decision, parts: Parts, given: Model, jobs: int
+) -> tuple[list[Claim], Scored, dict[int, float], dict[int, str]]:
+    """The claims whose laws stand beside one another alone, without the terms of those that fell;
+    the model with them alone; by ``id`` how far each is ahead of its neighbours; and, of those that
+    fell, the reason.
+    """
+    fell: dict[int, str] = {}
+    while True:
+        stand = [c for c in likely if id(c) not in fell]
+        alone = _without_others(stand, decision, given, jobs)
+        ahead: dict[int, float] = {}
+        for claim in (c for c in stand if c.effect != "unknown"):
+            by = _goes_on(claim, alone, decision, parts)
+            if _hid(claim, alone, decision, parts):
+                fell[id(claim)] = LEAVES_MORE
+            elif by is None:
+                fell[id(claim)] = ANOTHER
+            else:
+                ahead[id(claim)] = by
+        if len(ahead) == sum(c.effect != "unknown" for c in stand):
+            return stand, alone, ahead, fell
 
 
 def _upon_common(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decision:
@@ -368,6 +397,7 @@ def _upon_common(decision: Decision, parts: Parts, given: Model, jobs: int) -> D
 
 def _beside_doubted(
     likely: Sequence[Claim],
+    fell: Collection[int],
     alone: Scored,
     decision: Decision,
     parts: Parts,
@@ -375,9 +405,13 @@ def _beside_doubted(
     jobs: int,
 ) -> dict[int, float]:
     """The confidence of laws, by ``id``, that stand beside doubted ones: the confidence with and
-    without the doubted law, weighed by how likely that law is.
+    without the doubted law, weighed by how likely that law is (not at all if it ``fell``).
     """
-    sure = {id(c): confidence(c, decision) for c in decision.claims if c.effect != "unknown"}
+    sure = {
+        id(c): 0.0 if id(c) in fell else confidence(c, decision)
+        for c in decision.claims
+        if c.effect != "unknown"
+    }
     firm = [c for c in likely if sure.get(id(c), 1.0) > STATED_BESIDE]
     doubted = [sure.get(id(c), 1.0) for c in decision.claims if not any(c is f for f in firm)]
     laws = [c for c in firm if id(c) in sure]
@@ -441,17 +475,19 @@ def _hid(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> bool:
     return _surely_more(bare, max(allowed, SIMULATORS_DIFFER))
 
 
-def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> float | None:
-    """The standard deviations by which a law predicts better than its neighbours. None where a
-    neighbour predicts better, or, for a law that every machine has, surely better.
+def _goes_on(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> float | None:
+    """The standard deviations by which a law predicts better than its neighbours. None where that
+    is less sure than a law has to be; for one that every machine has, or a constant, where a
+    neighbour surely predicts better.
     """
     effect = get_effect(claim.effect)
     if claim.mechanism not in STRUCTURED:
         return math.inf
     ahead = _ahead(claim, alone, parts)
-    if ahead <= -(PLAIN if effect.common else BEHIND):
+    plain = effect.common or effect.constant
+    if ahead <= -PLAIN or not (plain or likely_enough(claim.effect, ahead, decision)):
         return None
-    return math.inf if effect.common or effect.constant else ahead
+    return math.inf if plain else ahead
 
 
 def _ahead(claim: Claim, alone: Scored, parts: Parts) -> float:

@@ -12,6 +12,7 @@ from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.measure.discrepancy import Size
 
 LEAVES_MORE = "it leaves more of what its variables predict than a law may"
+ANOTHER = "another law of its kind predicts as well"
 NO_BETTER = "with it untouched recordings are predicted no better"
 
 
@@ -41,17 +42,14 @@ def why_curve(ways: Mapping[str, bool]) -> str:
     return next((why for why, holds in ways.items() if holds), "")
 
 
-def doubt(sure: float, likely: bool) -> str:
-    """The reason that a named law is doubted: the confidence ``sure`` of such a finding; or, where
-    that is ``likely`` enough, the neighbour that predicts as well.
+def doubt(sure: float) -> str:
+    """The reason that a named law is doubted: the confidence ``sure`` of such a finding.
 
     Examples
     --------
-    >>> doubt(0.33, False), doubt(0.9, True)
-    ('such a law is right in 33 of 100 cases', 'another law of its kind predicts as well')
+    >>> doubt(0.33)
+    'such a law is right in 33 of 100 cases'
     """
-    if likely:
-        return "another law of its kind predicts as well"
     return f"such a law is right in {100 * sure:.0f} of 100 cases"
 
 

@@ -98,19 +98,18 @@ def draws_a_curve(claim: Claim) -> bool:
     return claim.effect == "unknown" and claim.mechanism == "position_torque"
 
 
-def repeats(other: Piece, first: Piece) -> bool:
-    """Whether a law was taken twice. Two of one shape imitate a curve, unless the law is itself a
-    sum of such shapes.
+def bends(final: Scored, other: Claim, law: Claim, apart: bool) -> bool:
+    """Whether a second law of a mechanism takes up what the first leaves: one that only refines it
+    (not ``apart``, a finding of its own), or the same law once more. Harmonics, or a law with other
+    settings, are one law; one that stands upon another is one with it; a delay is no curve.
     """
-    effect = get_effect(first.terms[0].effect)
-    # a sum of harmonics is one law, and so is one with settings
-    several = "order" in effect.names or not all(p.fitted for p in effect.parameters)
-    return (
-        other.effects == first.effects
-        and not several
-        and other.log_e > 0
-        and other.evidence.z > PLAIN
-    )
+    one, more = get_effect(law.effect), get_effect(other.effect)
+    waves = "order" in one.names and "order" in more.names
+    settings = one is more and not all(p.fitted for p in one.parameters)
+    upon = one.coupled or bool(more.needs) or more.name in one.needs
+    if waves or settings or upon or more.family == "timing":
+        return False
+    return (not apart or one is more) and not both_needed(final, law, other)
 
 
 def is_curve(ranked: Sequence[Piece], travel: float) -> bool:

@@ -68,9 +68,6 @@ RIVAL = 0.5  # of that: where another mechanism's variables predict as much, nei
 # of the size of a mechanism without a law: a smaller claim beside it may be a part of it; chosen on
 # one case
 A_PART = 0.5
-# standard deviations by which a neighbour predicts better, above which a law is not the law
-# (docs/measurements/diagnosis_choices.md)
-BEHIND = 1.5
 # of a wave's order and amplitude: a wave that differs by less is its twin. Two ripples of a torque
 # constant gave such pairs, 0.7 and 0.1 % apart
 TWINS = 0.05

@@ -3,11 +3,14 @@
 A law that a machine does not follow can still explain most of the missing torque. Its shape is then
 wrong: the torque grows with the cube of the speed where the law has the square, or is smaller at
 one end of the travel. A neighbour has as many numbers as the law, and no name. Where one predicts
-better, the law is wrong (target and decoy, Elias and Gygi 2007).
+better, the law is wrong (target and decoy, Elias and Gygi 2007). It is wrong, too, where the bend
+itself, estimated beside all numbers of the model, surely is not zero: v² - v is near v³ along one
+recording, and not near enough.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -39,23 +42,29 @@ BENT_BY = 0.7
 SLOPE_STEP = 1e-3  # of a number's natural size, for slopes
 TURNS_ROUND = 0.02  # of the speed: below, dry friction changes direction
 LEAST_COUNTED = 0.1  # of a law's energy: with less, its shape is not seen
+LEAST_LOG = 1e-3  # of a law's size: below, its logarithm does not fall
 RIDGE = 1e-9  # of the mean square of a column
 # largest factor on a neighbour's torque: drag that merges with the model's viscous friction needed
 # 11 to 75, right ones at most 1.2
 LARGER = 3.0
+BENDS_SURELY = 3.0  # standard deviations of a bend that is not zero
+# of what a law leaves to an observer: a bend that takes up less may be its noise. A right spring
+# under a coarse encoder had one that took up less
+TAKEN_UP = 0.1
 
 
 @dataclass(frozen=True)
 class _Law:
-    """A law and its neighbours, one array for each recording: slopes (1 + numbers, n) of the law,
-    and factors (n,) by which each neighbour differs from it.
+    """A law and the ways to bend it, one array for each recording: slopes (1 + numbers, n) of the
+    law, and logarithm of its size, place and speed (ways, n). The last two are laws themselves for
+    one that every machine has.
     """
 
     data: Data
     model: Model
     joint: int
     slopes: list[Array]
-    bent: list[list[Array]]
+    ways: list[Array]
 
 
 def against_neighbours(
@@ -84,8 +93,9 @@ def against_neighbours(
         Standard deviations over blocks of time; of all observers the second lowest, since what a
         single one sees may be its own noise, or too few blocks. Below 0 a neighbour predicts
         better, by more than a law's possible error, and the unexplained torque is smaller than the
-        law. Infinite where the law is no function of the state, has no neighbours different enough,
-        or hardly acts where it counts.
+        law. Minus infinite where the law is surely bent, by each of the two slowest observers, to
+        which the sensor's noise means least. Infinite where the law is no function of the state,
+        has no neighbours different enough, or hardly acts where it counts.
     """
     slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
@@ -94,63 +104,109 @@ def against_neighbours(
     if there < LEAST_COUNTED * sum(float(law[0] @ law[0]) for law in slopes) or rms == 0.0:
         return float("inf")
     common = get_effect(term.effect).common
-    bent = [
-        _bent(rec[joint - 1], law[0] / rms, ranges_of(data, joint), common)
+    ways = [
+        _ways(rec[joint - 1], law[0] / rms, ranges_of(data, joint), common)
         for rec, law in zip(data.records, slopes, strict=True)
     ]
-    law = _Law(data, fitted.model, joint, slopes, bent)
+    law = _Law(data, fitted.model, joint, slopes, ways)
     handles = [
         h
         for h in joint_handles(fitted.data, fitted.model, joint)
         if not (h.place == "term" and fitted.model.terms[h.index] is term)
     ]
     sizes = bounds_and_steps(fitted.data, fitted.model, handles)[2]
-    return sorted(_ahead(law, handles, sizes, band, error, turning) for band in BANDS)[1]
+    each = [_seen(law, handles, sizes, band, turning) for band in BANDS]
+    if any(_surely(law, each[-2:], k, error) for k in range(len(ways[0]))):
+        return float("-inf")
+    return sorted(_ahead(law, seen, error) for seen in each)[1]
 
 
-def _ahead(
-    law: _Law,
-    handles: Sequence[Handle],
-    sizes: Array,
-    band: float,
-    error: float,
-    turning: bool,
-) -> float:
+@dataclass(frozen=True)
+class _Seen:
+    """What an observer sees, one array for each recording: the law and its slopes, derivatives by
+    all other numbers, the torque that they have to explain, and the samples that count.
+    """
+
+    band: float
+    own: list[Array]
+    others: list[Array]
+    wanted: list[Array]
+    use: list[npt.NDArray[np.bool_]]
+
+    @property
+    def energy(self) -> float:
+        """The sum of the squares of the law."""
+        return sum(
+            float(made[0] ** 2 @ there) for made, there in zip(self.own, self.use, strict=True)
+        )
+
+
+def _seen(
+    law: _Law, handles: Sequence[Handle], sizes: Array, band: float, turning: bool
+) -> _Seen:
+    """What an observer of this bandwidth sees of a law."""
+    own, lacks = (
+        _as_seen(law, band, law.slopes), lacking(law.data, law.model, law.joint, band)
+    )  # fmt: skip
+    return _Seen(
+        band,
+        own,
+        _others(law, handles, sizes, band, lacks),
+        [lack + made[0] for lack, made in zip(lacks, own, strict=True)],
+        [_used(rec[law.joint - 1], band, turning) for rec in law.data.records],
+    )
+
+
+def _as_seen(law: _Law, band: float, torques: Sequence[Array]) -> list[Array]:
+    return [
+        as_seen(rec[law.joint - 1], law.model, band, torque)
+        for rec, torque in zip(law.data.records, torques, strict=True)
+    ]
+
+
+def _surely(law: _Law, each: Sequence[_Seen], way: int, error: float) -> bool:
+    """Whether each observer sees that a law has to be bent in a way, surely, by more than its
+    possible error, and to the same side.
+    """
+    found = [_bend(law, seen, way) for seen in each]
+    sides = {math.copysign(1.0, bend) for bend, _ in found}
+    return len(sides) == 1 and all(abs(b) > max(error, BENDS_SURELY * std) for b, std in found)
+
+
+def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
+    """The bend that a law needs in a way, estimated beside all numbers, and its standard deviation
+    over blocks of time. None where it takes up little of what the law leaves, which noise of the
+    motion does, or where it is another number of the model (a constant has no exponent).
+    """
+    rest, _ = _rest(seen.own, seen, seen.wanted)
+    bent = [s[0] * ways[way] for s, ways in zip(law.slopes, law.ways, strict=True)]
+    along, _ = _rest(seen.own, seen, [x[0] for x in _as_seen(law, seen.band, bent)])
+    weight = sum(float(x @ x) for x in along)
+    if weight <= RIDGE * seen.energy:
+        return 0.0, math.inf
+    bend = sum(float(x @ r) for x, r in zip(along, rest, strict=True)) / weight
+    if bend**2 * weight < TAKEN_UP * sum(float(r @ r) for r in rest):
+        return 0.0, math.inf
+    scores = [x * (r - bend * x) for x, r in zip(along, rest, strict=True)]
+    sums, _ = energy_blocks(law.data, scores, law.joint, seen.band)
+    return bend, deviation(sums) / weight
+
+
+def _ahead(law: _Law, seen: _Seen, error: float) -> float:
     """How far a law is ahead of its neighbours for one observer, in standard deviations."""
-    data, joint = law.data, law.joint
-
-    def seen(torques: Sequence[Array]) -> list[Array]:
-        return [
-            as_seen(rec[joint - 1], law.model, band, torque)
-            for rec, torque in zip(data.records, torques, strict=True)
-        ]
-
-    own, lacks = seen(law.slopes), lacking(data, law.model, joint, band)
-    others = _others(law, handles, sizes, band, lacks)
-    wanted = [lack + made[0] for lack, made in zip(lacks, own, strict=True)]
-    use = [_used(rec[joint - 1], band, turning) for rec in data.records]
-    left, _ = _left_by(own, others, wanted, use)
-
-    def behind(shapes: Sequence[Array]) -> tuple[float, float, float]:
-        """The torque that some shapes leave beyond the law's: in standard deviations, and its
-        energy; and the factor needed on the first shape.
-        """
-        other, times = _left_by(shapes, others, wanted, use)
-        more = [b - a for a, b in zip(left, other, strict=True)]
-        sums, _ = energy_blocks(data, more, joint, band)
-        total, spread = float(sums.sum()), deviation(sums)
-        return (total / spread if spread > 0 else 0.0), total, times
-
-    energy = sum(float(made[0] ** 2 @ there) for made, there in zip(own, use, strict=True))
+    left = [r**2 for r in _rest(seen.own, seen, seen.wanted)[0]]
     worst = float("inf")
-    for k in range(len(law.bent[0])):
-        bent = seen([s * by[k] for s, by in zip(law.slopes, law.bent, strict=True)])
-        z, more, times = behind(bent)
-        same = abs(more) < error**2 * energy  # on these recordings it equals the law
+    for by in _neighbours(law.ways):
+        bent = [s * factor for s, factor in zip(law.slopes, by, strict=True)]
+        other, times = _rest(_as_seen(law, seen.band, bent), seen, seen.wanted)
+        more = [b**2 - a for a, b in zip(left, other, strict=True)]
+        sums, _ = energy_blocks(law.data, more, law.joint, seen.band)
+        total, spread = float(sums.sum()), deviation(sums)
+        same = abs(total) < error**2 * seen.energy  # on these recordings it equals the law
         # a neighbour that needs a larger factor imitates another number of the model
         if not same and times < LARGER:
-            worst = min(worst, z)
-    if sum(float(each.sum()) for each in left) > energy:
+            worst = min(worst, total / spread if spread > 0 else 0.0)
+    if sum(float(each.sum()) for each in left) > seen.energy:
         worst = max(worst, 0.0)  # a neighbour may absorb some of what stays
     return worst
 
@@ -178,20 +234,28 @@ def _slopes(record: JointRecord, model: Model, term: Term) -> Array:
     return np.array(rows)
 
 
-def _bent(record: JointRecord, law: Array, ranges: Ranges, common: bool) -> list[Array]:
-    """Factors, (n,) each, of the neighbours of a law of RMS 1: it grows faster or slower than by
-    the law; along the travel; with speed. For a law that every machine has the last four are laws
-    themselves.
+def _ways(record: JointRecord, law: Array, ranges: Ranges, common: bool) -> Array:
+    """The ways in which a law of RMS 1 can be bent, (ways, n): it grows faster or slower than by
+    the law (the logarithm of its size); along the travel; with speed (both from -1 to 1). For a law
+    that every machine has the last two are laws themselves.
     """
-    size = np.abs(law)
-    power = [np.sqrt(size), 1.0 / np.sqrt(np.maximum(size, 1e-3))]
+    power: Array = np.log(np.maximum(np.abs(law), LEAST_LOG))
     if common:
-        return power
+        return power[None]
     q, v, _ = record.motion.states
     place = 2.0 * np.clip(unit(q, ranges.position), 0.0, 1.0) - 1.0
     speed = 2.0 * np.clip(np.abs(v) / ranges.speed, 0.0, 1.0) - 1.0
-    ways = (BENT_BY, -BENT_BY)
-    return power + [1.0 + bent * along for along in (place, speed) for bent in ways]
+    return np.stack([power, place, speed])
+
+
+def _neighbours(ways: Sequence[Array]) -> list[list[Array]]:
+    """Factors, one array for each recording, by which each neighbour differs from a law."""
+    power = [[np.exp(by * w[0]) for w in ways] for by in (0.5, -0.5)]
+    return power + [
+        [1.0 + by * w[k] for w in ways]
+        for k in range(1, len(ways[0]))
+        for by in (BENT_BY, -BENT_BY)
+    ]
 
 
 def _others(
@@ -213,24 +277,20 @@ def _others(
     ]
 
 
-def _left_by(
-    shapes: Sequence[Array],
-    others: Sequence[Array],
-    wanted: Sequence[Array],
-    use: Sequence[npt.NDArray[np.bool_]],
+def _rest(
+    shapes: Sequence[Array], seen: _Seen, wanted: Sequence[Array]
 ) -> tuple[list[Array], float]:
-    """Squares, (n,) for each recording, of the remainder of the ``wanted`` torque after a fit of
-    ``shapes`` and all other numbers, 0 where it does not count; and the factor needed on the first
-    shape.
+    """The remainder, (n,) for each recording, of a torque after a fit of ``shapes`` and all other
+    numbers, 0 where it does not count; and the factor needed on the first shape.
     """
-    rows = [np.concatenate(pair) for pair in zip(shapes, others, strict=True)]
+    rows = [np.concatenate(pair) for pair in zip(shapes, seen.others, strict=True)]
     count = len(rows[0])
     square, product = np.zeros((count, count)), np.zeros(count)
-    for a, y, there in zip(rows, wanted, use, strict=True):
+    for a, y, there in zip(rows, wanted, seen.use, strict=True):
         square, product = square + (a * there) @ a.T, product + a @ (y * there)
     scale = np.sqrt(np.diag(square))
     scale[scale == 0.0] = 1.0
     scaled = square / np.outer(scale, scale) + RIDGE * np.eye(count)
     theta = np.linalg.solve(scaled, product / scale) / scale
-    left = [(y - theta @ a) ** 2 * there for a, y, there in zip(rows, wanted, use, strict=True)]
-    return left, float(abs(theta[0])) if count else 0.0
+    rest = [(y - theta @ a) * there for a, y, there in zip(rows, wanted, seen.use, strict=True)]
+    return rest, float(abs(theta[0])) if count else 0.0

@@ -1,0 +1,110 @@
+"""Laws that have to be bent, or patched with another, to describe what a joint lacks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import reality
+from made_claims import PARTS, claim_of, of_one_claim, piece
+from reality import RATE
+from small_models import COULOMB, VISCOUS, data_of, model_of
+
+from zendsp.diagnosis.decide import laws, patchwork
+from zendsp.diagnosis.decide.claims import Claim
+from zendsp.diagnosis.decide.near import ANOTHER
+from zendsp.diagnosis.decide.thresholds import LAW_ERROR
+from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.neighbours import against_neighbours
+from zendsp.physics.calibration.fit import joint_handles
+from zendsp.physics.model import Quantity, Term
+
+
+@pytest.mark.parametrize(("power", "refuted"), [(2.0, False), (2.5, True)])
+def test_a_law_whose_exponent_surely_is_another_is_not_the_law(power: float, refuted: bool) -> None:
+    """2.5 is half-way from the square to its neighbour, the cube, which predicts worse."""
+    machine = reality.Machine(drag=0.002, power=power)
+    base = model_of(VISCOUS, COULOMB, {"kind": "quadratic_drag", "joint": 1, "coefficient": 0.002})
+    data = data_of(reality.simulate(machine, reality.multisine(10.0, RATE, 3), RATE), base)
+    fitted = fit_scored(data, base, joint_handles(data, base, 1), (1,))
+    ahead = against_neighbours(data, fitted, fitted.model.at(1)[-1], 1, LAW_ERROR)
+    assert ahead == -math.inf if refuted else ahead > 0.0
+
+
+def _law(effect: str, neutral: float = 0.0) -> Claim:
+    return claim_of(Term(effect, 1, {"neutral": Quantity(neutral)}), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("law", "other", "apart", "curve"),
+    [
+        (_law("gravity"), _law("stiffness"), False, True),
+        (_law("gravity"), _law("stiffness"), True, False),  # a finding of its own
+        (_law("gravity"), _law("gravity"), True, True),
+        (_law("ripple"), _law("ripple"), False, False),  # harmonics
+        (_law("load_friction"), _law("load_friction"), False, False),  # with other settings
+        (_law("coulomb"), _law("stribeck"), False, False),  # stands upon it
+        (_law("stribeck"), _law("coulomb"), False, False),
+        (_law("dead_zone"), _law("delay"), False, False),
+    ],
+)
+def test_a_law_that_another_one_has_to_patch_draws_a_curve(
+    law: Claim, other: Claim, apart: bool, curve: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The torque of a hose was a gravity of 97 %, with a spring among its refinements."""
+    monkeypatch.setattr(patchwork, "both_needed", lambda *_: False)
+    final: Any = None
+    assert patchwork.bends(final, other, law, apart) is curve
+
+
+@pytest.mark.parametrize(
+    ("size", "log_e", "much"), [(0.02, 50.0, True), (0.02, 1.0, False), (0.004, 50.0, False)]
+)
+def test_a_law_leaves_what_a_refinement_of_its_mechanism_takes_up(
+    size: float, log_e: float, much: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A twentieth of a law of two numbers may be left, of 20 % of the torque here."""
+    numbers = {name: Quantity(1.0) for name in ("torque", "angle")}
+    first = replace(piece(0.2, 9.0, 90.0, "gravity"), terms=(Term("gravity", 1, numbers),))
+    patch = piece(size, 8.0, log_e, "stiffness")
+    monkeypatch.setattr(patchwork, "both_needed", lambda *_: False)
+    nothing: Any = None
+    after = Size(0.001, 0.0, 0.3)
+    judge = laws._Judge(PARTS, nothing, nothing, [first], 1, after, 0.0, ())
+    assert judge._leaves_more(first, [first, patch], [first], None) is much
+
+
+def test_laws_are_asked_again_beside_those_that_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a limit of the supply had taken, which its neighbours refuted, was not asked of the drag
+    beside it.
+    """
+    limit, drag = (
+        claim_of(Term(effect, 1, {}), size)
+        for effect, size in (("voltage_limit", 0.03), ("quadratic_drag", 0.01))
+    )
+    decision = replace(of_one_claim(limit, 0.04, 0.0), claims=(limit, drag))
+    monkeypatch.setattr(laws, "_without_others", lambda claims, *_: [c.effect for c in claims])
+    monkeypatch.setattr(laws, "_goes_on", lambda claim, *_: None if claim is limit else math.inf)
+    monkeypatch.setattr(laws, "_hid", lambda _claim, alone, *_: alone == ["quadratic_drag"])
+    given: Any = None
+    stand, alone, ahead, fell = laws._standing([limit, drag], decision, PARTS, given, 1)
+    assert (stand, alone, ahead) == ([], [], {})
+    assert fell == {id(limit): ANOTHER, id(drag): laws.LEAVES_MORE}
+
+
+@pytest.mark.parametrize(
+    ("ahead", "left", "named"),
+    [(-0.5, 0.0, False), (0.4, 0.0, True), (0.4, 0.01, False), (0.6, 0.01, True)],
+)
+def test_a_law_is_named_from_the_confidence_that_its_neighbours_leave(
+    ahead: float, left: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A voltage limit was stated at 13 %."""
+    monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
+    outcome = of_one_claim(claim_of(Term("gravity", 1, {}), 0.2), 0.2, left)
+    nothing: Any = None
+    found = laws._goes_on(outcome.claims[0], nothing, outcome, PARTS)
+    assert found == (ahead if named else None)
