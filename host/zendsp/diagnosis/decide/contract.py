@@ -160,6 +160,14 @@ class DetectableReport(TypedDict):
     unit: str
 
 
+class UndetectableReport(TypedDict):
+    """An effect that would not have been seen even if large."""
+
+    joint: int
+    mechanism: str
+    effect: str
+
+
 class RegionReport(TypedDict):
     """An interval of a joint's state in which the mismatch lies."""
 
@@ -222,6 +230,7 @@ class Report(TypedDict):
     refinements: list[FindingReport]
     discrepancy: list[LeftReport]
     detectable: list[DetectableReport]
+    undetectable: list[UndetectableReport]
     where: WhereReport
     fit: FitReport
     fit_other_unit: list[FitReport]  # where joints slide and turn

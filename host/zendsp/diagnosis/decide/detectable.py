@@ -72,6 +72,7 @@ LARGER, FARTHER = 1.5, 10.0  # times the last at least, and at most
 # of the best determined combination of calibrated numbers: one less determined absorbs nothing.
 # Chosen
 TOLD = 1e-6
+UNSEEN = math.inf, 0.0  # size and torque of what no recording like these would show
 GRID = 12  # points of an effect's grid at most; the worst of them is stated
 
 
@@ -83,7 +84,8 @@ def detectable(
     Returns
     -------
     tuple of Detectable
-        One for each joint and ``sized`` effect that the joint does not have yet.
+        One for each joint and ``sized`` effect that the joint does not have yet; of infinite size
+        where even a large one would not have been found.
     """
     out = []
     for decision in decisions:
@@ -95,7 +97,8 @@ def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Dec
     """The decisions, with all torque possibly unexplained at a complete joint where neither a
     friction nor a torque over position would have been seen, however large.
     """
-    shown = {x.joint for x in seen if x.mechanism in {*FRICTION, "position_torque"}}
+    kinds = {*FRICTION, "position_torque"}
+    shown = {x.joint for x in seen if x.mechanism in kinds and x.is_shown}
     return [
         replace(d, after=replace(d.after, high=1.0))
         if d.kind == Verdict.COMPLETE and d.joint not in shown
@@ -108,10 +111,11 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
     test, joint, final = parts.test.within_limits_of(parts.fit), decision.joint, decision.final
     result, screen = _screened(test, decision, jobs)
     found, sought = _screened(parts.fit, decision, jobs)
-    traces = _Traces(sought, found, screen, result)
     implant = _Implant(parts, decision, jobs)
     after = max(decision.after.value, decision.after.often)
     sized = [effect for effect in library().values() if effect.sized]
+    other = {effect.aliases for effect in sized}
+    traces = {names: _Traces(sought, found, screen, result, names) for names in other}
     kinds = {mechanism_of(effect.name) for effect in sized}
     # the error of the model's own laws of the kind, or what a law alone may leave
     laws = {m: kept_laws(given, final.model, joint, m) for m in kinds}
@@ -127,31 +131,38 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
-        term = _smallest(traces, name, implant.energy, beyond * scale)
-        size = None if term is None else implant.seen(term, beyond)
-        phase = phase_of(effect)
-        if term is not None and size is not None and phase:  # and a quarter period from it
-            across = term.value(phase) + 0.5 * math.pi
-            size = implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
-        if size is None:
-            continue
+        term = _smallest(traces[effect.aliases], name, implant.energy, beyond * scale)
+        size, torque = _worst(implant, effect, term, beyond)
         if effect.least is not None:  # the search takes no smaller one
             least = effect.least(facts(screen.records[0])).get(_key(effect), 0.0)
-            if size[0] < least:
-                size = least, size[1] * least / size[0]
+            size, torque = max(size, least), torque * max(1.0, least / size)
         parameter = effect.parameter(_key(effect))
         most = max(r.scale.of(parameter.size) for r in screen.records)
         most *= NOT_SMALL if parameter.above else 1.0  # it acts upon another, and seldom
-        if size[0] > (FIRST_ORDER if parameter.size == "time" else most):
-            continue  # not seen although as large as all torque or travel, or beyond any fit
+        if size > (FIRST_ORDER if parameter.size == "time" else most):
+            size, torque = UNSEEN  # although as large as all torque or travel, or beyond any fit
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),
             given.actuator.command_unit,
             given.torque_unit(joint),
         )
-        out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1]))
+        out.append(Detectable(joint, mechanism_of(name), name, size, unit, torque))
     return out
+
+
+def _worst(
+    implant: _Implant, effect: Effect, term: Term | None, beyond: float
+) -> tuple[float, float]:
+    """The size from which on an effect is seen, and its torque: at the worst of its points, and a
+    quarter period from it.
+    """
+    size = UNSEEN if term is None else implant.seen(term, beyond)
+    phase = phase_of(effect)
+    if term is None or size == UNSEEN or not phase:
+        return size
+    across = term.value(phase) + 0.5 * math.pi
+    return implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
 
 
 def _screened(part: Data, decision: Decision, jobs: int) -> tuple[Fit, Screen]:
@@ -174,12 +185,19 @@ def _key(effect: Effect) -> str:
 
 class _Traces:
     """Traces of effects in the innovations of the test recordings, after the calibrated numbers
-    have absorbed what the recordings of the fit suggest.
+    have absorbed what the recordings of the fit suggest: all but those of its ``aliases``, which
+    would be the finding by another name.
     """
 
-    def __init__(self, sought: Screen, found: Fit, screen: Screen, result: Fit) -> None:
+    def __init__(
+        self, sought: Screen, found: Fit, screen: Screen, result: Fit, aliases: Sequence[str]
+    ) -> None:
         self.sought, self.screen = sought, screen
-        free = [h.place != "offset" for h in found.handles]
+        free = [
+            h.place != "offset"
+            and not (h.place == "term" and found.model.terms[h.index].effect in aliases)
+            for h in found.handles
+        ]
         there, here = (f.jacobian[: len(s.r), free] for f, s in ((found, sought), (result, screen)))
         unit = np.linalg.norm(there, axis=0)
         # without columns of no influence, or of a diverged prediction
@@ -237,30 +255,36 @@ class _Implant:
         # root of the energy that an effect must leave in the innovations
         self.energy = self.root * math.sqrt(mean * dependence(self.final, self.test, self.joint))
 
-    def seen(self, term: Term, least: float) -> tuple[float, float] | None:
+    def seen(self, term: Term, least: float) -> tuple[float, float]:
         """The size of an effect that would be found and claimed, and its torque after calibration,
-        ``least`` or more; both as parts of the RMS torque. The search begins at a term's size. None
+        ``least`` or more, as a part of the RMS torque. The search begins at a term's size. `UNSEEN`
         where even an effect that is not small would not be found.
         """
         key, absorbed = _key(get_effect(term.effect)), 0
-        without, grown = None, 1.0
+        without, grown, last = None, 1.0, False
+        terms = [
+            t.held() if t.effect in get_effect(term.effect).aliases else t
+            for t in self.final.model.terms
+        ]
         for _ in range(IMPLANTS):
-            held = {name: replace(q, free=False) for name, q in term.parameters.items()}
-            model = self.final.model.with_terms(
-                (*self.final.model.terms, replace(term, parameters=held))
-            )
-            if difference(self.test, model, self.final.model, self.joint) > NOT_SMALL:
-                return None
+            model = self.final.model.with_terms((*terms, term.held()))
+            large = difference(self.test, model, self.final.model, self.joint) / NOT_SMALL
+            if large > 1.0:  # the largest that is tried is near, or has been tried, or is too small
+                if last or not large < AMPLE * LARGER:
+                    return UNSEEN
+                grown, last = grown / (AMPLE * large), True
+                term = _set(term, {key: term.value(key) / (AMPLE * large)})
+                continue
             without = self._without(model, without, grown)
             lacking, torque = self._short_by(term, without, least)
             if lacking <= 1.0:
                 return term.value(key), torque
             absorbed += not math.isfinite(lacking)
-            if absorbed == ABSORBED:
-                return None
+            if absorbed == ABSORBED or last:
+                return UNSEEN
             grown = AMPLE * min(max(lacking, LARGER), FARTHER)
             term = _set(term, {key: grown * term.value(key)})
-        return None
+        return UNSEEN
 
     def _without(self, model: Model, smaller: Scored | None, grown: float) -> Scored:
         """The calibrated numbers and the observer fitted without the implant. They start from those

@@ -61,6 +61,8 @@ def summary(d: Diagnosis) -> str:
             lines.append(f"nothing named explains: joint {x.joint}, {left}")
     if d.detectable:
         lines.append(f"what may have been missed: {_missed(d.detectable)}")
+    if d.undetectable:
+        lines.append(f"would not be seen here even if large: {hidden(d.undetectable)}")
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:
@@ -79,6 +81,17 @@ def _missed(detectable: Sequence[Detectable]) -> str:
     named = ", ".join(f"{x.effect} below {_sized(x)} (joint {x.joint})" for x in largest)
     more = len(detectable) - len(largest)
     return named + (f", and {counted(more, 'smaller one')}" if more else "")
+
+
+def hidden(undetectable: Sequence[Detectable]) -> str:
+    """The effects that these recordings would not show, each with its joints."""
+    joints: dict[str, list[str]] = {}
+    for x in undetectable:
+        joints.setdefault(x.effect, []).append(str(x.joint))
+    return ", ".join(
+        f"{effect} (joint{'s' if len(of) > 1 else ''} {', '.join(of)})"
+        for effect, of in joints.items()
+    )
 
 
 def _is_body(x: Detectable) -> bool:
