@@ -133,7 +133,26 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
     report = d.report()
     shown, hidden = ({x["effect"] for x in report[key]} for key in ("detectable", "undetectable"))
     has = {t.effect for t in d.improved.terms} | {"inertia"}  # a number of the mechanism
-    assert shown | hidden == {e.name for e in library().values() if e.sized} - has
+    asked = {e.name for e in library().values() if e.sized} | {"disturbance"}
+    assert shown | hidden == asked - has
     assert "torque_gain" in hidden, "inertia and friction, calibrated, imitate it"
     assert "delay" in shown, "a shift of the command column, refined, had imitated it"
     assert "would not be seen here even if large: " in summary(d)
+
+
+@pytest.mark.parametrize(("begin", "held"), [(1.5, True), (2.0, False)])
+def test_a_push_of_the_stated_size_is_found_in_either_part_of_the_data(
+    begin: float, held: bool, decided: Decided
+) -> None:
+    """The report said nothing of pushes, which it knows how to find. And where one lay in what is
+    held out, `where` had the times at which the recordings of the fit lack most, which is nothing.
+    """
+    still = reality.Machine()
+    told = next(x for x in decided(still).detectable if x.effect == "disturbance")
+    assert 0.0 < told.size < 0.2
+    pushed = reality.Machine(push=(1.3 * told.size, begin, begin + 1.0))
+    d = decided(*((still, pushed) if held else (pushed, still)))
+    (found,) = d.findings
+    assert found.effect == "disturbance"
+    ((at, until),) = d.times
+    assert at == pytest.approx(begin, abs=0.3) and until == pytest.approx(begin + 1.0, abs=0.3)

@@ -184,7 +184,7 @@ def shape_of(effect: str, m: Motion, model: Columns, joint: int) -> dict[str, fl
         "cubic_stiffness": {"neutral": middle},
         "ripple": {"order": waves, "phase": 0.7},
         "encoder_eccentricity": {"phase": 0.7},
-        "disturbance": {"middle": 0.41 * seconds, "length": 0.8},
+        "disturbance": {"middle": 0.41 * seconds, "length": 1.0},
     }.get(effect, {})
 
 

@@ -96,9 +96,7 @@ FORCES: dict[str, Callable[[Motion, Numbers], Array]] = {
     "inertia": lambda m, p: p["amount"] * m.a,
     "torque_offset": lambda m, p: np.full(len(m.q), p["level"]),
     "disturbance": lambda m, p: np.where(
-        np.abs(m.t - p["middle"]) < 0.5 * p["length"],
-        -p["peak"] * np.cos(np.pi * (m.t - p["middle"]) / p["length"]) ** 2,
-        0.0,
+        np.abs(m.t - p["middle"]) < 0.5 * p["length"], -p["peak"], 0.0
     ),
 }
 # the command, as a torque, that an actuator with the law needs for the recorded torque

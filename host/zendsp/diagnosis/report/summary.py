@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from zendsp.diagnosis.decide.contract import Verdict, spans
 from zendsp.diagnosis.decide.headline import SMALLEST_SHARE, percent
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, library
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def hidden(undetectable: Sequence[Detectable]) -> str:
 
 
 def _is_body(x: Detectable) -> bool:
-    return get_effect(x.effect).site == "body"
+    return x.effect in library() and get_effect(x.effect).site == "body"
 
 
 def _sized(x: Detectable) -> str:
