@@ -158,6 +158,7 @@ class DetectableReport(TypedDict):
     effect: str
     size: float
     unit: str
+    at: dict[str, float]  # the shape of the law that shows least, SI
 
 
 class UndetectableReport(TypedDict):
@@ -166,6 +167,7 @@ class UndetectableReport(TypedDict):
     joint: int
     mechanism: str
     effect: str
+    at: dict[str, float]
 
 
 class RegionReport(TypedDict):

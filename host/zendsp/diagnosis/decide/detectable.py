@@ -72,6 +72,8 @@ LARGER, FARTHER = 1.5, 10.0  # times the last at least, and at most
 # of the best determined combination of calibrated numbers: one less determined absorbs nothing.
 # Chosen
 TOLD = 1e-6
+# numbers of a law beside its size, phase and neutral point: the worst of each is stated
+SHAPES = ("order", "period", "time_constant", "velocity")
 UNSEEN = math.inf, 0.0  # size and torque of what no recording like these would show
 GRID = 12  # points of an effect's grid at most; the worst of them is stated
 
@@ -147,7 +149,8 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
             given.actuator.command_unit,
             given.torque_unit(joint),
         )
-        out.append(Detectable(joint, mechanism_of(name), name, size, unit, torque))
+        at = {n: term.value(n) for n in effect.grid if n in SHAPES} if term else {}
+        out.append(Detectable(joint, mechanism_of(name), name, size, unit, torque, at))
     return out
 
 
@@ -229,7 +232,8 @@ def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term 
         if left <= 0:
             return None
         size = max(energy / left, torque / max(_torque(screen, column), 1e-300))
-        if worst is None or size > worst[0]:
+        # of a law that is not linear in its size, each point is another size
+        if worst is None or (size > worst[0]) is (key not in point):
             worst = size, values
     return worst and make_term(effect, screen.joint, {**worst[1], key: worst[0]})
 

@@ -180,6 +180,8 @@ class Detectable:
     size: float  # infinite where even a large one would not have been shown
     unit: str
     share: float  # of the RMS torque
+    # the shape of its law that shows least, SI: a period, the speed of a Stribeck curve
+    at: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_shown(self) -> bool:
@@ -380,11 +382,17 @@ class Diagnosis:
                     "effect": d.effect,
                     "size": _rounded(d.size),
                     "unit": d.unit,
+                    "at": {name: _rounded(x) for name, x in d.at.items()},
                 }
                 for d in self.detectable
             ],
             "undetectable": [
-                {"joint": d.joint, "mechanism": d.mechanism, "effect": d.effect}
+                {
+                    "joint": d.joint,
+                    "mechanism": d.mechanism,
+                    "effect": d.effect,
+                    "at": {name: _rounded(x) for name, x in d.at.items()},
+                }
                 for d in self.undetectable
             ],
             "where": self._where(),

@@ -84,14 +84,21 @@ def _missed(detectable: Sequence[Detectable]) -> str:
 
 
 def hidden(undetectable: Sequence[Detectable]) -> str:
-    """The effects that these recordings would not show, each with its joints."""
-    joints: dict[str, list[str]] = {}
+    """The effects that these recordings would not show, each with its joints; where that depends on
+    the shape of a law, with the one that shows least.
+    """
+    joints: dict[str, list[Detectable]] = {}
     for x in undetectable:
-        joints.setdefault(x.effect, []).append(str(x.joint))
+        joints.setdefault(x.effect, []).append(x)
     return ", ".join(
-        f"{effect} (joint{'s' if len(of) > 1 else ''} {', '.join(of)})"
-        for effect, of in joints.items()
+        f"{effect} (joint{'s' if len(each) > 1 else ''} {', '.join(map(_joint_of, each))})"
+        for effect, each in joints.items()
     )
+
+
+def _joint_of(x: Detectable) -> str:
+    at = " and ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in x.at.items())
+    return f"{x.joint} at {at}" if at else str(x.joint)
 
 
 def _is_body(x: Detectable) -> bool:
