@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,11 +60,11 @@ def test_motion_is_that_in_the_middle_of_each_row() -> None:
 @pytest.mark.parametrize("effect", sorted({w.effect for each in WANTED.values() for w in each}))
 def test_an_implant_without_a_stated_size_is_a_tenth_of_the_torque(effect: str) -> None:
     c = columns(2.0)
-    for times, size in sizes(Wish(effect), None, c):
+    wishes = [w for each in WANTED.values() for w in each if w.effect == effect]
+    for times, size in sizes(replace(wishes[0], joint=1), None, c):
         p = sized(effect, size, shape_of(effect, c.motion(1), c, 1), c.motion(1))
         assert math.isnan(times)
-        if effect != "delay":  # whole rows; only tried where a size is stated
-            assert share_of(effect, p, c, 1) == pytest.approx(0.1, rel=0.15)
+        assert share_of(effect, p, c, 1) == pytest.approx(0.1, rel=0.15)
 
 
 @pytest.mark.parametrize("effect", sorted({"stiffness", "disturbance", "gain_drift", "dead_zone"}))

@@ -68,7 +68,7 @@ WANTED: dict[str, tuple[Wish, ...]] = {
         W("ripple", times=(1.3,)),
         W("cubic_stiffness", times=(1.3,)),
         W("position_friction", times=(1.3,)),
-        W("encoder_eccentricity", times=(1.3,)),
+        W("encoder_eccentricity", times=(1.3,), shares=()),
         W("stribeck", times=(1.3,)),
         W("friction_drift", times=(1.3,)),
         W("disturbance"),
