@@ -140,7 +140,12 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
     assert "would not be seen here even if large: " in summary(d)
 
 
-@pytest.mark.parametrize(("begin", "held"), [(1.5, True), (2.0, False)])
+@pytest.mark.parametrize(
+    ("begin", "held"),
+    # the second across the cut between what chooses and what tests, whose first quarter of a second
+    # was left out of any push
+    [(1.5, True), (4.2, True), (2.0, False)],
+)
 def test_a_push_of_the_stated_size_is_found_in_either_part_of_the_data(
     begin: float, held: bool, decided: Decided
 ) -> None:
@@ -154,5 +159,4 @@ def test_a_push_of_the_stated_size_is_found_in_either_part_of_the_data(
     d = decided(*((still, pushed) if held else (pushed, still)))
     (found,) = d.findings
     assert found.effect == "disturbance"
-    ((at, until),) = d.times
-    assert at == pytest.approx(begin, abs=0.3) and until == pytest.approx(begin + 1.0, abs=0.3)
+    assert d.times and all(begin - 0.3 < a and b < begin + 1.3 for a, b in d.times)
