@@ -102,7 +102,7 @@ class _OneImplant(sizes._Implant):
     def __init__(self, enough: float) -> None:
         self.enough, self.test, self.joint = enough, None, 1  # type: ignore[assignment]
         self.final = self  # type: ignore[assignment]
-        self.model, self.terms = self, ()
+        self.model, self.terms, self.given = self, (), ()
 
     def with_terms(self, terms: tuple[Term, ...]) -> Term:
         return terms[-1]

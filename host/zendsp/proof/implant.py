@@ -158,8 +158,9 @@ class Implant:
         key = next(iter(self.parameters))
         for f in self.answer.findings:
             if f.effect == self.effect and f.joint == self.joint and key in f.parameters:
-                found = f.parameters[key]
-                return abs(found.value - self.parameters[key]) / max(found.std, 1e-300)
+                found, truth = f.parameters[key], self.parameters[key]
+                truth += self.parameters.get("upon", 0.0)
+                return abs(found.value - truth) / max(found.std, 1e-300)
         return None
 
 
@@ -178,7 +179,8 @@ def shape_of(effect: str, m: Motion, model: Columns, joint: int) -> dict[str, fl
         return float(np.mean(values)) if values else 0.0
 
     return {
-        "stribeck": {"velocity": 0.07 * top},
+        # the breakaway that is found contains the friction upon which the curve stands
+        "stribeck": {"velocity": 0.07 * top, "upon": friction("coulomb", "coulomb_asymmetry")},
         "position_friction": {"period": 0.29 * travel, "phase": 0.4},
         "friction_drift": {
             "time_constant": 0.3 * seconds,

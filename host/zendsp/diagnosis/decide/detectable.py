@@ -113,11 +113,11 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
     test, joint, final = parts.test.within_limits_of(parts.fit), decision.joint, decision.final
     result, screen = _screened(test, decision, jobs)
     found, sought = _screened(parts.fit, decision, jobs)
-    implant = _Implant(parts, decision, jobs)
+    implant = _Implant(parts, given, decision, jobs)
     after = max(decision.after.value, decision.after.often)
     sized = [effect for effect in library().values() if effect.sized]
-    other = {effect.aliases for effect in sized}
-    traces = {names: _Traces(sought, found, screen, result, names) for names in other}
+    other = {names: implant.other(names) for names in {effect.aliases for effect in sized}}
+    traces = {n: _Traces(sought, found, screen, result, terms) for n, terms in other.items()}
     kinds = {mechanism_of(effect.name) for effect in sized}
     # the error of the model's own laws of the kind, or what a law alone may leave
     laws = {m: kept_laws(given, final.model, joint, m) for m in kinds}
@@ -188,17 +188,16 @@ def _key(effect: Effect) -> str:
 
 class _Traces:
     """Traces of effects in the innovations of the test recordings, after the calibrated numbers
-    have absorbed what the recordings of the fit suggest: all but those of its ``aliases``, which
+    have absorbed what the recordings of the fit suggest: all but those of ``other`` terms, which
     would be the finding by another name.
     """
 
     def __init__(
-        self, sought: Screen, found: Fit, screen: Screen, result: Fit, aliases: Sequence[str]
+        self, sought: Screen, found: Fit, screen: Screen, result: Fit, other: Sequence[int]
     ) -> None:
         self.sought, self.screen = sought, screen
         free = [
-            h.place != "offset"
-            and not (h.place == "term" and found.model.terms[h.index].effect in aliases)
+            h.place != "offset" and not (h.place == "term" and h.index in other)
             for h in found.handles
         ]
         there, here = (f.jacobian[: len(s.r), free] for f, s in ((found, sought), (result, screen)))
@@ -244,10 +243,11 @@ class _Implant:
     recordings of the fit.
     """
 
-    def __init__(self, parts: Parts, decision: Decision, jobs: int) -> None:
+    def __init__(self, parts: Parts, given: Model, decision: Decision, jobs: int) -> None:
         self.test, self.joint, self.final, self.jobs = (
             parts.test, decision.joint, decision.final, jobs
         )  # fmt: skip
+        self.given = given.at(decision.joint)
         # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
         self.root = NINE_IN_TEN + math.sqrt(NINE_IN_TEN**2 + 2.0 * needed(self.test.joints))
         self.errors = window_error(self.test, self.final.model, self.joint)
@@ -259,6 +259,17 @@ class _Implant:
         # root of the energy that an effect must leave in the innovations
         self.energy = self.root * math.sqrt(mean * dependence(self.final, self.test, self.joint))
 
+    def other(self, aliases: Sequence[str]) -> tuple[int, ...]:
+        """The places of terms that are an effect by another name, and would be the finding: those
+        of the given model are calibrated, and are none.
+        """
+        had = {t.effect for t in self.given}
+        return tuple(
+            i
+            for i, t in enumerate(self.final.model.terms)
+            if t.joint == self.joint and t.effect in aliases and t.effect not in had
+        )
+
     def seen(self, term: Term, least: float) -> tuple[float, float]:
         """The size of an effect that would be found and claimed, and its torque after calibration,
         ``least`` or more, as a part of the RMS torque. The search begins at a term's size. `UNSEEN`
@@ -266,10 +277,8 @@ class _Implant:
         """
         key, absorbed = _key(get_effect(term.effect)), 0
         without, grown, last = None, 1.0, False
-        terms = [
-            t.held() if t.effect in get_effect(term.effect).aliases else t
-            for t in self.final.model.terms
-        ]
+        other = self.other(get_effect(term.effect).aliases)
+        terms = [t.held() if i in other else t for i, t in enumerate(self.final.model.terms)]
         for _ in range(IMPLANTS):
             model = self.final.model.with_terms((*terms, term.held()))
             large = difference(self.test, model, self.final.model, self.joint) / NOT_SMALL
