@@ -4,27 +4,15 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from zendsp.proof.answer import Answer, Estimate, Finding, Smallest
-from zendsp.proof.implant import (
-    WANTED,
-    Implant,
-    Subject,
-    Wish,
-    change,
-    driven,
-    implant_lines,
-    shape_of,
-    share_of,
-    sized,
-    sizes,
-    uncontrolled,
-)
+from zendsp.proof.implant import Implant, Subject, implant_lines, uncontrolled
+from zendsp.proof.implant_sizes import shape_of, share_of, size_of, sized
+from zendsp.proof.implant_wishes import WANTED, Wish
 from zendsp.proof.implanted import ACTUATORS, FORCES, LAWS, Columns, middle_motion
 from zendsp.proof.real import Recordings, model_folder
 
@@ -57,14 +45,16 @@ def test_motion_is_that_in_the_middle_of_each_row() -> None:
     assert np.allclose(a, -0.9 * np.sin(3 * middle), atol=1e-4)
 
 
-@pytest.mark.parametrize("effect", sorted({w.effect for each in WANTED.values() for w in each}))
+WISHES = [w for recordings in WANTED.values() for each in recordings for w in each]
+
+
+@pytest.mark.parametrize("effect", sorted({w.effect for w in WISHES if w.share}))
 def test_an_implant_without_a_stated_size_is_a_tenth_of_the_torque(effect: str) -> None:
     c = columns(2.0)
-    wishes = [w for each in WANTED.values() for w in each if w.effect == effect]
-    for times, size in sizes(replace(wishes[0], joint=1), None, c):
-        p = sized(effect, size, shape_of(effect, c.motion(1), c, 1), c.motion(1))
-        assert math.isnan(times)
-        assert share_of(effect, p, c, 1) == pytest.approx(0.1, rel=0.15)
+    times, size = size_of(Wish(effect), None, c)
+    p = sized(effect, size, shape_of(effect, c.motion(1), c, 1), c.motion(1))
+    assert math.isnan(times)
+    assert share_of(effect, p, c, 1) == pytest.approx(0.1, rel=0.15)
 
 
 @pytest.mark.parametrize("effect", sorted({"stiffness", "disturbance", "gain_drift", "dead_zone"}))
@@ -107,38 +97,29 @@ def test_controller_is_dropped_because_the_command_is_not_its_any_more() -> None
     )
 
 
-def test_a_machine_without_an_actuator_gets_a_command_of_nothing(tmp_path: Path) -> None:
-    text = driven((model_folder() / "single_pendulum.toml").read_text())
-    (tmp_path / "m.toml").write_text(text + "\n[actuator]\ngain = { value = 1.0 }\n")
-    t = np.arange(2000) * 1e-3
-    np.savez(tmp_path / "r.npz", t=t, q=np.sin(5 * t), qd=np.cos(5 * t))
-    c = Columns.read(tmp_path / "r.npz", tmp_path / "m.toml")
-    assert not c.torques.any()
-    p = {"coefficient": 0.02, "neutral": 0.1}
-    assert np.allclose(change("stiffness", p, c, 1), FORCES["stiffness"](c.motion(1), p))
-
-
-def an_implant(times: float, answer: Answer) -> Implant:
+def an_implant(times: float, answer: Answer, *, silent: bool = False) -> Implant:
     """A spring of 2 N m/rad at joint 1."""
-    return Implant("m", "stiffness", 1, times, 0.1, {"coefficient": 2.0, "neutral": 0.0}, answer)
+    numbers = {"coefficient": 2.0, "neutral": 0.0}
+    return Implant("m", "stiffness", 1, times, 0.1, numbers, answer, silent)
 
 
 def test_an_implant_counts_as_named_only_as_the_first_finding_of_its_joint() -> None:
     right = Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9)
-    assert an_implant(2.0, Answer("missing", (right,))).named
-    assert an_implant(2.0, Answer("missing", (right,))).deviation() == pytest.approx(1.0)
+    of_another = Finding("ripple", 2, {}, 0.9)
+    alone = an_implant(2.0, Answer("missing", (of_another, right)))
+    assert alone.named and not alone.wrong and alone.deviation() == pytest.approx(1.0)
     late = an_implant(2.0, Answer("missing", (Finding("ripple", 1, {}, 0.9), right)))
     assert not late.named and late.mechanism and late.wrong
-    other = an_implant(2.0, Answer("missing", (Finding("stiffness", 2, {}, 0.5),)))
-    assert not other.named and not other.mechanism and not other.wrong
+    other = an_implant(2.0, Answer("missing", (of_another,)), silent=True)
+    assert not other.named and not other.mechanism and not other.wrong and other.complete
 
 
 def test_implants_above_and_below_the_stated_size_are_counted_apart() -> None:
     named = Answer("missing", (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),))
     done = [
         an_implant(1.3, named),
-        an_implant(2.0, Answer("complete")),
-        an_implant(0.5, Answer("complete")),
+        an_implant(2.0, Answer("complete"), silent=True),
+        an_implant(0.5, Answer("complete"), silent=True),
         an_implant(math.nan, Answer("unexplained")),
     ]
     above, below, silent = implant_lines(done)[-3:]
@@ -151,12 +132,12 @@ def test_implants_above_and_below_the_stated_size_are_counted_apart() -> None:
 def test_sizes_follow_what_the_report_of_the_unaltered_recordings_states() -> None:
     said = Answer("complete", smallest=(Smallest(1, "stiffness", 3.0), Smallest(2, "ripple", 1.0)))
     subject = Subject("m", Recordings((), ()), Path(), said)
-    spring, wave = Wish("stiffness", times=(0.5, 2.0)), Wish("ripple")
-    assert sizes(spring, subject.stated(spring), columns(2.0)) == [(0.5, 1.5), (2.0, 6.0)]
-    assert subject.stated(wave) is None
+    spring = Wish("stiffness", times=2.0)
+    assert size_of(spring, subject.stated(spring), columns(2.0)) == (2.0, 6.0)
+    assert subject.stated(Wish("ripple")) is None
 
 
-def test_no_more_than_fifty_implants_are_asked_and_each_has_a_law() -> None:
-    wishes = [w for each in WANTED.values() for w in each]
-    assert sum(max(len(w.times), len(w.shares)) for w in wishes) <= 50
-    assert {w.effect for w in wishes} <= set(LAWS)
+def test_no_more_than_fifty_implants_are_asked_one_a_joint_and_each_has_a_law() -> None:
+    assert len(WISHES) <= 50 and {w.effect for w in WISHES} <= set(LAWS)
+    for each in (each for recordings in WANTED.values() for each in recordings):
+        assert len({w.joint for w in each}) == len(each)

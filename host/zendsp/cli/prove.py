@@ -297,7 +297,10 @@ def on_real_machines(
 
     if implant:
         from zendsp.proof.implant import implant_lines, run_implants
+        from zendsp.proof.implant_wishes import WANTED
 
+        if only and only not in WANTED:
+            raise click.UsageError(f"no implants for {only!r}; known are {', '.join(WANTED)}")
         try:
             done = run_implants(
                 data, out / "implants", limit, quick, only, jobs,

@@ -9,7 +9,9 @@ such a silence hides.
 
 from __future__ import annotations
 
+import json
 import math
+import re
 import shutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -21,74 +23,15 @@ from scipy.io import savemat
 from zendsp.proof.answer import Answer, Finding, Smallest, read_report
 from zendsp.proof.children import threads, workers
 from zendsp.proof.convert import Recordings, convert
-from zendsp.proof.draft import Array
-from zendsp.proof.implanted import Columns, Motion
-from zendsp.proof.mechanisms import BODILY, NEEDLESS, SIZE, mechanism_of
+from zendsp.proof.implant_sizes import shape_of, share_of, size_of, sized
+from zendsp.proof.implant_wishes import QUICK, WANTED, Wish
+from zendsp.proof.implanted import Columns
+from zendsp.proof.mechanisms import BODILY, NEEDLESS, mechanism_of
 from zendsp.proof.real import diagnose, model_folder
 from zendsp.proof.score import identity
 
 SURE = 0.8  # of a wrong name, from which on it is called sure
 WITHIN = 2.0  # standard deviations between the number found and the true one
-FRESH = 1e-3  # of the RMS torque: size at which a law is tried before it is scaled
-
-
-@dataclass(frozen=True)
-class Wish:
-    """An effect to put into a joint of a machine: at multiples of its stated size; where none is
-    stated, at shares of the RMS torque.
-    """
-
-    effect: str
-    joint: int = 1
-    times: tuple[float, ...] = (1.3, 2.0)
-    shares: tuple[float, ...] = (0.1,)
-
-
-W = Wish
-WANTED: dict[str, tuple[Wish, ...]] = {
-    "emps": (
-        W("stiffness", times=(0.5, 1.3, 4.0)),
-        W("ripple", times=(0.5, 1.3)),
-        W("gain_drift", times=(1.3,)),
-        W("quadratic_drag", times=(1.3,)),
-        W("cubic_stiffness"),
-        W("delay", shares=()),
-        W("dead_zone"),
-        W("position_friction", times=(1.3,)),
-        W("load_friction", times=(1.3,)),
-        W("disturbance"),
-        W("stribeck", times=(1.3,)),
-        W("friction_drift", times=(1.3,)),
-        W("hysteresis"),
-    ),
-    "single_pendulum": (
-        W("stiffness", times=(0.5, 1.3, 4.0)),
-        W("viscous"),
-        W("torque_offset", times=(1.3,)),
-        W("ripple", times=(1.3,)),
-        W("cubic_stiffness", times=(1.3,)),
-        W("position_friction", times=(1.3,)),
-        W("encoder_eccentricity", times=(1.3,), shares=()),
-        W("stribeck", times=(1.3,)),
-        W("friction_drift", times=(1.3,)),
-        W("disturbance"),
-    ),
-    "tx40": (
-        W("stiffness", 3),
-        W("ripple", 3, (1.3,)),
-        W("quadratic_drag", 3, (1.3,)),
-        W("delay", 1, (1.3,), ()),
-        W("dead_zone", 1, (1.3,)),
-        W("position_friction", 2, (1.3,)),
-        W("disturbance", 2, (1.3,)),
-    ),
-    "kuka_kr300": (
-        W("stiffness", 1, (1.3,)),
-        W("position_friction", 3, (1.3,)),
-        W("disturbance", 5, (1.3,)),
-    ),
-}
-QUICK = ("emps",)
 
 
 @dataclass(frozen=True)
@@ -102,6 +45,7 @@ class Implant:
     share: float  # of the RMS torque of the training recording
     parameters: dict[str, float]  # the leading one first
     answer: Answer
+    silent: bool = False  # the report says nothing of the joint: complete
 
     @property
     def stated(self) -> bool:
@@ -109,29 +53,34 @@ class Implant:
         return not math.isnan(self.times)
 
     def is_right(self, finding: Finding) -> bool:
-        """The very law or a set that holds it, at its joint."""
-        names = {finding.effect, *finding.indistinguishable}
-        return self.effect in names and (finding.joint == self.joint or finding.effect in BODILY)
+        """The very law or a set that holds it."""
+        return self.effect in (finding.effect, *finding.indistinguishable)
+
+    @property
+    def said(self) -> list[Finding]:
+        """The findings of its joint, or of a body."""
+        return [f for f in self.answer.findings if f.joint == self.joint or f.effect in BODILY]
 
     @property
     def named(self) -> bool:
         """Named first."""
-        return bool(self.answer.findings) and self.is_right(self.answer.findings[0])
+        return bool(self.said) and self.is_right(self.said[0])
 
     @property
     def mechanism(self) -> bool:
-        """Its mechanism is first, at its joint."""
-        first = self.answer.findings[0] if self.answer.findings else None
-        own = mechanism_of(self.effect)
-        return first is not None and self.joint == first.joint and own in (
+        """Its mechanism is first."""
+        if not self.said:
+            return False
+        first = self.said[0]
+        return mechanism_of(self.effect) in (
             mechanism_of(first.effect, first.mechanism),
             *(mechanism_of(name) for name in first.indistinguishable),
         )
 
     @property
     def complete(self) -> bool:
-        """Called complete."""
-        return self.answer.verdict == "complete"
+        """Called complete, as far as its joint is concerned."""
+        return self.silent and not self.said and not self.answer.trouble
 
     @property
     def wrong(self) -> bool:
@@ -142,7 +91,7 @@ class Implant:
             and not self.is_right(f)
             and f.effect != "unknown"
             and f.effect not in NEEDLESS.get(self.effect, ())
-            for f in self.answer.findings
+            for f in self.said
         )
 
     @property
@@ -162,94 +111,6 @@ class Implant:
                 truth += self.parameters.get("upon", 0.0)
                 return abs(found.value - truth) / max(found.std, 1e-300)
         return None
-
-
-def shape_of(effect: str, m: Motion, model: Columns, joint: int) -> dict[str, float]:
-    """The parameters beside the leading one, from the motion of the training recording; none of
-    them lies at a special point of the travel.
-    """
-    middle, travel = float(np.mean(m.q)), float(np.ptp(m.q))
-    top, seconds = float(np.abs(m.v).max()), float(m.t[-1])
-    waves = 5.0 if model.model["mechanism"]["kind"] != "linear" else 2 * math.pi / (0.064 * travel)
-
-    def friction(*kinds: str) -> float:
-        """The mean of the numbers of a friction, those of both directions."""
-        terms = (e for e in model.model["effect"] if e["joint"] == joint and e["kind"] in kinds)
-        values = [q["value"] for e in terms for q in e.values() if isinstance(q, dict)]
-        return float(np.mean(values)) if values else 0.0
-
-    return {
-        # the breakaway that is found contains the friction upon which the curve stands
-        "stribeck": {"velocity": 0.07 * top, "upon": friction("coulomb", "coulomb_asymmetry")},
-        "position_friction": {"period": 0.29 * travel, "phase": 0.4},
-        "friction_drift": {
-            "time_constant": 0.3 * seconds,
-            "dry": friction("coulomb", "coulomb_asymmetry"),
-            "fluid": friction("viscous", "viscous_asymmetry"),
-        },
-        "gain_drift": {"time_constant": 0.3 * seconds},
-        "gravity": {"angle": 0.8},
-        "stiffness": {"neutral": middle},
-        "cubic_stiffness": {"neutral": middle},
-        "ripple": {"order": waves, "phase": 0.7},
-        "encoder_eccentricity": {"phase": 0.7},
-        "disturbance": {"middle": 0.41 * seconds, "length": 1.0},
-    }.get(effect, {})
-
-
-LEADING = {**SIZE, "stribeck": "breakaway", "friction_drift": "ratio", "gain_drift": "ratio",
-           "hysteresis": "force", "disturbance": "peak"}  # fmt: skip
-
-
-def sized(effect: str, size: float, shape: dict[str, float], m: Motion) -> dict[str, float]:
-    """The parameters of a law with its leading number."""
-    p = {LEADING[effect]: size, **shape}
-    if effect == "delay":
-        dt = float(np.median(np.diff(m.t)))
-        p["rows"] = max(1.0, round(size / dt))
-        p["time"] = p["rows"] * dt
-    if effect == "hysteresis":
-        p["stiffness"] = 15.0 * size / float(np.ptp(m.q))
-    return p
-
-
-def change(effect: str, p: dict[str, float], columns: Columns, joint: int) -> Array:
-    """The change of the joint's torque by a law, row by row."""
-    table = columns.with_law(effect, joint, p)
-    after = Columns(table, columns.model).torques
-    before = columns.torques[: len(after)]
-    out: Array = (after - before).reshape(len(after), -1)[:, joint - 1]
-    return out
-
-
-def share_of(effect: str, p: dict[str, float], columns: Columns, joint: int) -> float:
-    """RMS of a law's torque as a part of the RMS torque that moves the joint, or that holds it
-    where there is no actuator.
-    """
-    torque = columns.motion(joint).torque
-    scale = float(np.sqrt(np.mean(torque**2))) or _weight(columns, joint)
-    return float(np.sqrt(np.mean(change(effect, p, columns, joint) ** 2))) / scale
-
-
-def _weight(columns: Columns, joint: int) -> float:
-    """RMS torque of a pendulum's weight."""
-    gravity = float(columns.model["mechanism"]["parameters"]["gravity"]["value"])
-    return gravity * float(np.sqrt(np.mean(np.sin(columns.motion(joint).q) ** 2)))
-
-
-def sizes(wish: Wish, stated: float | None, train: Columns) -> list[tuple[float, float]]:
-    """(multiple of the stated size, leading number) of the implants of one wish; the multiple is
-    nan where no size is stated.
-    """
-    if stated is not None:
-        return [(x, x * stated) for x in wish.times]
-    m = train.motion(wish.joint)
-    shape = shape_of(wish.effect, m, train, wish.joint)
-    small = FRESH * (float(np.sqrt(np.mean(m.torque**2))) or _weight(train, wish.joint))
-    if wish.effect in ("friction_drift", "gain_drift"):
-        small = FRESH
-    unit = share_of(wish.effect, sized(wish.effect, small, shape, m), train, wish.joint)
-    return [(math.nan, small * share / unit) for share in wish.shares]
 
 
 @dataclass(frozen=True)
@@ -283,17 +144,16 @@ def prepared(name: str, data: Path, out: Path, limit: float) -> Subject:
         The unaltered recordings could not be diagnosed.
     """
     recordings = convert(name, data, out)
-    start, found, given = out / f"{name}.toml", out / "found.toml", out / "given.toml"
+    start, found = out / f"{name}.toml", out / "found.toml"
     shutil.copyfile(model_folder() / f"{name}.toml", start)
     answer = asked(start, recordings, out / "first", limit)
     if not answer.trouble:
-        text = uncontrolled((out / "first" / "model.toml").read_text(encoding="utf-8"))
-        found.write_text(text, encoding="utf-8")
-        given.write_text(driven(text), encoding="utf-8")
+        text = (out / "first" / "model.toml").read_text(encoding="utf-8")
+        found.write_text(uncontrolled(text), encoding="utf-8")
         answer = asked(found, recordings, out / "unaltered", limit)
     if answer.trouble:
         raise RuntimeError(f"{name} unaltered gave no model: {answer.trouble}")
-    return Subject(name, recordings, given, answer)
+    return Subject(name, recordings, found, answer)
 
 
 def asked(model: Path, recordings: Recordings, out: Path, limit: float) -> Answer:
@@ -318,42 +178,51 @@ def uncontrolled(text: str) -> str:
     return "\n".join(keep) + "\n"
 
 
-def driven(text: str) -> str:
-    """A model with a command: where it has none, that of an actuator that gave nothing."""
-    if "\ncommand =" in text:
-        return text
-    return text.replace("[columns]\n", '[columns]\ncommand = "implanted"\n')
-
-
-def written(table: dict[str, Array], path: Path) -> Path:
-    """Write a recording in the format of its name."""
-    if path.suffix == ".mat":
-        savemat(path, table, oned_as="column", do_compression=True)
-    else:
-        np.savez_compressed(path, allow_pickle=False, **table)
-    return path
-
-
-def put_in(
-    subject: Subject, wish: Wish, times: float, size: float, out: Path, limit: float
-) -> Implant:
-    """Put one law into all recordings of a machine, and ask."""
+def put_in(subject: Subject, wishes: Sequence[Wish], out: Path, limit: float) -> list[Implant]:
+    """Put laws into all recordings of a machine, one a joint, and ask."""
     train = Columns.read(subject.recordings.train[0], subject.model)
-    m = train.motion(wish.joint)
-    p = sized(wish.effect, size, shape_of(wish.effect, m, train, wish.joint), m)
+    laws: dict[Wish, tuple[float, dict[str, float]]] = {}
+    for w in wishes:
+        stated = subject.stated(w)
+        if stated is not None or w.share:
+            times, size = size_of(w, stated, train)
+            m = train.motion(w.joint)
+            laws[w] = times, sized(w.effect, size, shape_of(w.effect, m, train, w.joint), m)
     out.mkdir(parents=True, exist_ok=True)
 
     def one(path: Path) -> Path:
         columns = Columns.read(path, subject.model)
-        table = columns.with_law(wish.effect, wish.joint, p)
-        return written(table, out / path.name)
+        for w, (_, p) in laws.items():
+            columns = Columns(columns.with_law(w.effect, w.joint, p), columns.model)
+        table, target = columns.table, out / path.name
+        if path.suffix == ".mat":
+            savemat(target, table, oned_as="column", do_compression=True)
+        else:
+            np.savez_compressed(target, allow_pickle=False, **table)
+        return target
 
-    train_files, held = (
+    if not laws:
+        return []
+    files, held = (
         tuple(map(one, part)) for part in (subject.recordings.train, subject.recordings.heldout)
     )
-    answer = asked(subject.model, Recordings(train_files, held), out / "report", limit)
-    share = share_of(wish.effect, p, train, wish.joint)
-    return Implant(subject.name, wish.effect, wish.joint, times, share, p, answer)
+    answer = asked(subject.model, Recordings(files, held), out / "report", limit)
+    left = unexplained_joints(out / "report" / "report.json")
+    return [
+        Implant(
+            subject.name, w.effect, w.joint, times, share_of(w.effect, p, train, w.joint), p,
+            answer, w.joint not in left,
+        )
+        for w, (times, p) in laws.items()
+    ]  # fmt: skip
+
+
+def unexplained_joints(report: Path) -> set[int]:
+    """The joints of which a report says that something is missing without a name."""
+    if not report.exists():
+        return set()
+    said = json.loads(report.read_text(encoding="utf-8"))["unexplained"]
+    return {int(number) for number in re.findall(r"^Joint (\d+):", said, re.MULTILINE)}
 
 
 def run_implants(
@@ -364,30 +233,22 @@ def run_implants(
     on where it stopped.
     """
     done: list[Implant] = []
-    for name in [only] if only else QUICK if quick else WANTED:
+    wanted = {only: WANTED[only]} if only else QUICK if quick else WANTED
+    for name, rounds in wanted.items():
         tell(f"{name} unaltered: its diagnosis is the model that the implants are given")
         subject = prepared(name, data, out / name, limit)
         tell(unaltered_line(subject))
-        train = Columns.read(subject.recordings.train[0], subject.model)
-        todo = [
-            (wish, times, size)
-            for wish in WANTED[name]
-            for times, size in sizes(wish, subject.stated(wish), train)
-        ]
 
-        def one(case: tuple[Wish, float, float], subject: Subject = subject) -> Implant:
-            wish, times, size = case
-            folder = out / subject.name / f"{wish.effect}_{wish.joint}_{size:.3g}"
-            made = put_in(subject, wish, times, size, folder, limit)
-            tell(implant_line(made))
+        def one(wishes: tuple[Wish, ...], subject: Subject = subject) -> list[Implant]:
+            named = "_".join(f"{w.effect}{w.joint}x{w.times:g}" for w in wishes)
+            made = put_in(subject, wishes, out / subject.name / named, limit)
+            tell("\n".join(map(implant_line, made)))
             return made
 
         with workers(threads(jobs)) as pool:
-            done += pool.map(one, todo[:QUICKLY] if quick else todo)
+            for made in pool.map(one, rounds):
+                done += made
     return done
-
-
-QUICKLY = 4  # implants of a quick run
 
 
 def unaltered_line(subject: Subject) -> str:
@@ -401,8 +262,10 @@ def unaltered_line(subject: Subject) -> str:
 def implant_line(i: Implant) -> str:
     """One implant."""
     said = i.answer.trouble or i.answer.verdict
-    if i.answer.findings:
-        said = ", ".join(f"{f.effect}@{f.joint} {f.confidence:.2f}" for f in i.answer.findings)
+    if i.said:
+        said = ", ".join(f"{f.effect} {f.confidence:.2f}" for f in i.said)
+    elif not i.answer.trouble:
+        said = "complete" if i.complete else "unexplained"
     size = f"x{i.times:g} of the stated size" if i.stated else "no size stated"
     error = i.deviation()
     off = "" if error is None else f", number off by {error:.1f} deviations"

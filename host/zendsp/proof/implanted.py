@@ -122,9 +122,7 @@ class Columns:
 
     @staticmethod
     def read(path: Path, model: Path) -> Columns:
-        """A recording (.mat or .npz) as the model reads it; a machine without actuators gets a
-        command of nothing.
-        """
+        """A recording (.mat or .npz) as the model reads it."""
         if path.suffix == ".mat":
             from scipy.io import loadmat
 
@@ -133,10 +131,7 @@ class Columns:
             with np.load(path) as file:
                 table = dict(file)
         with model.open("rb") as opened:
-            out = Columns(table, tomllib.load(opened))
-        command = out.model["columns"]["command"]
-        table.setdefault(command, np.zeros_like(out.positions))
-        return out
+            return Columns(table, tomllib.load(opened))
 
     @property
     def positions(self) -> Array:
