@@ -74,7 +74,7 @@ LARGER, FARTHER = 1.5, 10.0  # times the last at least, and at most
 TOLD = 1e-6
 # numbers of a law beside its size, phase and neutral point: the worst of each is stated
 SHAPES = ("order", "period", "time_constant", "velocity")
-UNSEEN = math.inf, 0.0  # size and torque of what no recording like these would show
+NOT_SEEN = math.inf, 0.0  # size and torque of what no recording like these would show
 GRID = 12  # points of an effect's grid at most; the worst of them is stated
 
 
@@ -142,7 +142,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         most = max(r.scale.of(parameter.size) for r in screen.records)
         most *= NOT_SMALL if parameter.above else 1.0  # it acts upon another, and seldom
         if size > (FIRST_ORDER if parameter.size == "time" else most):
-            size, torque = UNSEEN  # although as large as all torque or travel, or beyond any fit
+            size, torque = NOT_SEEN  # although as large as all torque or travel, or beyond any fit
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),
@@ -160,9 +160,9 @@ def _worst(
     """The size from which on an effect is seen, and its torque: at the worst of its points, and a
     quarter period from it.
     """
-    size = UNSEEN if term is None else implant.seen(term, beyond)
+    size = NOT_SEEN if term is None else implant.seen(term, beyond)
     phase = phase_of(effect)
-    if term is None or size == UNSEEN or not phase:
+    if term is None or size == NOT_SEEN or not phase:
         return size
     across = term.value(phase) + 0.5 * math.pi
     return implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
@@ -272,7 +272,7 @@ class _Implant:
 
     def seen(self, term: Term, least: float) -> tuple[float, float]:
         """The size of an effect that would be found and claimed, and its torque after calibration,
-        ``least`` or more, as a part of the RMS torque. The search begins at a term's size. `UNSEEN`
+        ``least`` or more, as a part of the RMS torque. The search begins at a term's size. `NOT_SEEN`
         where even an effect that is not small would not be found.
         """
         key, absorbed = _key(get_effect(term.effect)), 0
@@ -284,7 +284,7 @@ class _Implant:
             large = difference(self.test, model, self.final.model, self.joint) / NOT_SMALL
             if large > 1.0:  # the largest that is tried is near, or has been tried, or is too small
                 if last or not large < AMPLE * LARGER:
-                    return UNSEEN
+                    return NOT_SEEN
                 grown, last = grown / (AMPLE * large), True
                 term = _set(term, {key: term.value(key) / (AMPLE * large)})
                 continue
@@ -294,10 +294,10 @@ class _Implant:
                 return term.value(key), torque
             absorbed += not math.isfinite(lacking)
             if absorbed == ABSORBED or last:
-                return UNSEEN
+                return NOT_SEEN
             grown = AMPLE * min(max(lacking, LARGER), FARTHER)
             term = _set(term, {key: grown * term.value(key)})
-        return UNSEEN
+        return NOT_SEEN
 
     def _without(self, model: Model, smaller: Scored | None, grown: float) -> Scored:
         """The calibrated numbers and the observer fitted without the implant. They start from those

@@ -17,12 +17,12 @@ from zendsp.diagnosis.decide.thresholds import LAWFUL
 from zendsp.diagnosis.measure.bursts import BURST_SHARE
 from zendsp.physics.model import Model
 
-PUSH = "disturbance"  # the mechanism, and its name
+A_PUSH = "disturbance"  # the mechanism, and its name
 LASTS = 1.0  # s, the push of which a size is stated
 # RMS of a push over that of the rest, with which all but BURST_SHARE of the energy is the push's
 # RMS torque that is found missing, of that of a push of one second in 6 or in 12, along which the
 # calibrated numbers follow it: 0.53 and 0.49
-REMAINS = 0.5
+STAYS_MISSING = 0.5
 OUT_OF = math.sqrt((1.0 - BURST_SHARE) / BURST_SHARE)
 
 
@@ -37,8 +37,8 @@ def detectable_pushes(
             for part in parts.each
         )
         needed = max(LAWFUL, OUT_OF * max(d.after.high, d.after.often))
-        share = needed / REMAINS * math.sqrt(seconds / LASTS)
+        share = needed / STAYS_MISSING * math.sqrt(seconds / LASTS)
         size = share * d.scale if share <= 1.0 else math.inf
         unit = given.torque_unit(d.joint)
-        out.append(Detectable(d.joint, PUSH, PUSH, size, unit, needed))
+        out.append(Detectable(d.joint, A_PUSH, A_PUSH, size, unit, needed))
     return tuple(out)
