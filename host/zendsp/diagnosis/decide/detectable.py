@@ -272,8 +272,8 @@ class _Implant:
 
     def seen(self, term: Term, least: float) -> tuple[float, float]:
         """The size of an effect that would be found and claimed, and its torque after calibration,
-        ``least`` or more, as a part of the RMS torque. The search begins at a term's size. `NOT_SEEN`
-        where even an effect that is not small would not be found.
+        ``least`` or more, as a part of the RMS torque. The search begins at a term's size.
+        `NOT_SEEN` where even an effect that is not small would not be found.
         """
         key, absorbed = _key(get_effect(term.effect)), 0
         without, grown, last = None, 1.0, False
