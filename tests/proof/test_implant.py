@@ -74,7 +74,7 @@ def test_an_actuator_with_the_law_gives_the_recorded_torque() -> None:
     gives = {
         "torque_gain": lambda u: 1.2 * u,
         "gain_drift": lambda u: u * (1.0 + 0.2 * (1.0 - np.exp(-m.t / 3.0))),
-        "dead_zone": lambda u: u - np.clip(u, -0.1, 0.1),
+        "dead_zone": lambda u: 2.0 * (u / 2.0 - np.clip(u / 2.0, -0.1, 0.1)),  # 2 N m a unit
         "delay": lambda u: np.append(m.torque[:7], u[:-7]),
     }
     assert set(gives) == set(ACTUATORS)

@@ -36,6 +36,7 @@ class Motion:
     a: Array
     torque: Array  # of the actuator, N m or N
     slow: float  # speed within which dry friction turns
+    gain: float  # torque per unit of command
 
     @property
     def turn(self) -> Array:
@@ -99,11 +100,12 @@ FORCES: dict[str, Callable[[Motion, Numbers], Array]] = {
         np.abs(m.t - p["middle"]) < 0.5 * p["length"], -p["peak"], 0.0
     ),
 }
-# the command, as a torque, that an actuator with the law needs for the recorded torque
+# the command, as a torque, that an actuator with the law needs for the recorded torque; a width is
+# in units of the command
 ACTUATORS: dict[str, Callable[[Motion, Numbers], Array]] = {
     "torque_gain": lambda m, p: m.torque / (1.0 + p["ratio"]),
     "gain_drift": lambda m, p: m.torque / (1.0 + p["ratio"] * _settled(m, p["time_constant"])),
-    "dead_zone": lambda m, p: m.torque + p["width"] * np.sign(m.torque),
+    "dead_zone": lambda m, p: m.torque + m.gain * p["width"] * np.sign(m.torque),
     # whole rows; the last ones are cut off
     "delay": lambda m, p: np.append(m.torque[int(p["rows"]) :], np.zeros(int(p["rows"]))),
 }
@@ -166,7 +168,9 @@ class Columns:
         t = np.asarray(self.table[self.model["columns"]["time"]], float)
         q, v, a = middle_motion(t - t[0], q[:, joint - 1])
         torque = self.torques.reshape(len(q), -1)[:, joint - 1]
-        return Motion(t - t[0], q, v, a, torque, SOFT * float(np.abs(v).max()))
+        gains = np.atleast_1d(self.model["actuator"]["gain"]["value"])
+        gain = float(gains[min(joint, len(gains)) - 1])
+        return Motion(t - t[0], q, v, a, torque, SOFT * float(np.abs(v).max()), gain)
 
     def with_law(self, effect: str, joint: int, p: Numbers) -> dict[str, Array]:
         """The table of a machine that has the law at a joint, moved as recorded."""
