@@ -28,7 +28,7 @@ from zendsp.proof.implant_wishes import QUICK, WANTED, Wish
 from zendsp.proof.implanted import Columns
 from zendsp.proof.mechanisms import BODILY, NEEDLESS, mechanism_of
 from zendsp.proof.real import diagnose, model_folder
-from zendsp.proof.score import identity
+from zendsp.proof.score import JUDGED, identity
 
 SURE = 0.8  # of a wrong name, from which on it is called sure
 WITHIN = 2.0  # standard deviations between the number found and the true one
@@ -158,7 +158,7 @@ def prepared(name: str, data: Path, out: Path, limit: float) -> Subject:
 
 def asked(model: Path, recordings: Recordings, out: Path, limit: float) -> Answer:
     """The answer that an earlier run left in its folder, by the same code; or a new one."""
-    stamp, code = out / "code", identity()
+    stamp, code = out / "code", identity(*JUDGED, "proof")
     if stamp.exists() and stamp.read_text() == code and (out / "report.json").exists():
         return read_report(out / "report.json", math.nan)
     answer = diagnose(model, recordings, out, limit, "--jobs", "1", "--no-figures")
