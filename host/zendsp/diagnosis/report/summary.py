@@ -96,6 +96,12 @@ def hidden(undetectable: Sequence[Detectable]) -> str:
     )
 
 
+def unasked() -> list[str]:
+    """The laws that are looked for, and of which no smallest size is computed."""
+    sought = (e for e in library().values() if e.site != "body" and (e.linear or e.grid or e.scan))
+    return [e.name for e in sought if not e.sized]
+
+
 def _joint_of(x: Detectable) -> str:
     at = " and ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in x.at.items())
     return f"{x.joint} at {at}" if at else str(x.joint)
