@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ import reality
 from zendsp.diagnosis import Diagnosis, engine
 from zendsp.diagnosis.decide import detectable as sizes
 from zendsp.diagnosis.decide.detectable import detectable
-from zendsp.diagnosis.decide.detectable_push import detectable_pushes
 from zendsp.diagnosis.report.html import _could_not
 from zendsp.diagnosis.report.summary import summary
 from zendsp.diagnosis.search.screen import FIRST_ORDER
@@ -166,19 +164,3 @@ def test_a_push_of_the_stated_size_is_found_in_either_part_of_the_data(
     (found,) = d.findings
     assert found.effect == "disturbance"
     assert d.times and all(begin - 0.3 < a and b < begin + 1.3 for a, b in d.times)
-
-
-@pytest.mark.parametrize(("of_state", "shown"), [(0.02, False), (0.002, True)])
-def test_a_push_is_not_told_where_a_function_of_the_state_stays_unexplained(
-    of_state: float, shown: bool
-) -> None:
-    """Of EMPS, which leaves 1.3 % of that kind, a push of 1.3 times the stated size was not."""
-    record = SimpleNamespace(n=10000, sample_time=1e-3)
-    parts = SimpleNamespace(each=(SimpleNamespace(records=((record,),)),))
-    decision = SimpleNamespace(
-        joint=1, scale=2.0, after=SimpleNamespace(high=0.0, often=0.0),
-        state=SimpleNamespace(size=of_state, z=5.0, apart=0.0),
-    )  # fmt: skip
-    given = SimpleNamespace(torque_unit=lambda _: "N m")
-    (told,) = detectable_pushes(parts, given, [decision])  # type: ignore[arg-type, list-item]
-    assert told.is_shown is shown

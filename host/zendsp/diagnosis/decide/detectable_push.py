@@ -3,7 +3,6 @@
 A disturbance is asked for where the torque that lacks is more than `LAWFUL`, and is one where most
 of that acts within it (`measure/bursts.py`). So a push of one second has to have that RMS torque
 over the longest part of the recordings, and to stand out of all else that is not explained there.
-Where a part of that depends on the state, a push is not told from it (`decide/pushes.py`).
 """
 
 from __future__ import annotations
@@ -13,9 +12,8 @@ from collections.abc import Sequence
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.pushes import predicts
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.decide.thresholds import LAWFUL, OF_STATE
+from zendsp.diagnosis.decide.thresholds import LAWFUL
 from zendsp.diagnosis.measure.bursts import BURST_SHARE
 from zendsp.physics.model import Model
 
@@ -40,8 +38,7 @@ def detectable_pushes(
         )
         needed = max(LAWFUL, OUT_OF * max(d.after.high, d.after.often))
         share = needed / STAYS_MISSING * math.sqrt(seconds / LASTS)
-        of_state = d.state.size > OF_STATE and predicts(d.state)
-        size = math.inf if of_state or share > 1.0 else share * d.scale
+        size = share * d.scale if share <= 1.0 else math.inf
         unit = given.torque_unit(d.joint)
         out.append(Detectable(d.joint, A_PUSH, A_PUSH, size, unit, needed))
     return tuple(out)
