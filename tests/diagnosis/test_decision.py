@@ -7,24 +7,17 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import reality
 from reality import FAST, KNOWN, RATE
 
-from zendsp.diagnosis import Diagnosis, diagnose, engine
+from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import detectable as sizes
-from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.laws import law_chart
-from zendsp.diagnosis.search.screen import FIRST_ORDER
-from zendsp.physics.calibration.handles import get_values
-from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.model_write import model_text
 
@@ -220,76 +213,6 @@ def test_what_acts_surely_and_drowns_in_what_stays_unexplained_is_not_complete(
 def test_one_mechanism_is_one_finding(decided: Decided) -> None:
     d = decided(reality.Machine(breakaway=0.05), None, KNOWN[0])
     assert [f.mechanism for f in d.findings] == ["dry_friction"]
-
-
-@pytest.mark.usefixtures("searched_once")
-@pytest.mark.parametrize(
-    ("number", "none", "effect"),
-    [
-        ("ripple", 0.0, "ripple"),
-        ("breakaway", reality.Machine.coulomb, "stribeck"),
-        ("fade", 0.0, "gain_drift"),
-    ],
-)
-def test_twice_the_size_that_complete_states_as_detectable_is_named(
-    number: str, none: float, effect: str, decided: Decided
-) -> None:
-    d = decided(reality.Machine())
-    assert d.verdict == "complete"
-    told = next(x for x in d.detectable if x.effect == effect)
-    assert 0 < told.size < 0.1
-    again = decided(reality.Machine(**{number: none + 2 * told.size}))
-    assert [f.effect for f in again.findings] == [effect]
-
-
-@pytest.mark.usefixtures("searched_once")
-@pytest.mark.parametrize("late", [0.02, 0.2])
-def test_no_delay_is_said_to_be_missed_below_a_time_that_no_fit_reaches(
-    late: float, decided: Decided, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a KUKA a delay of 0.2 s "may have been missed"."""
-    monkeypatch.setattr(sizes._Implant, "seen", lambda *_: (late, 0.1))
-    told = {x.effect for x in decided(reality.Machine()).detectable}
-    assert ("delay" in told) is (late < FIRST_ORDER)
-
-
-@pytest.mark.usefixtures("searched_once")
-def test_the_fit_of_a_larger_implant_begins_from_that_of_the_smaller_one(
-    decided: Decided, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fits: list[Any] = []
-    fit_scored = sizes.fit_scored
-
-    def noted(data: Any, model: Any, handles: Any, *rest: Any, **more: Any) -> Any:
-        out = fit_scored(data, model, handles, *rest, **more)
-        fits.append((model.terms[-1], get_values(model, handles), get_values(out.model, handles)))
-        return out
-
-    monkeypatch.setattr(sizes, "fit_scored", noted)
-    decided(reality.Machine())
-    given, larger = fits[0][1], 0
-    for (small, _, ended), (large, begun, _) in pairwise(fits):
-        key = sizes._key(get_effect(small.effect))
-        if small.effect == large.effect and large.value(key) > small.value(key):
-            grown = large.value(key) / small.value(key)
-            assert begun == pytest.approx(given + grown * (ended - given))
-            larger += 1
-    assert larger
-
-
-@pytest.mark.usefixtures("searched_once")
-@pytest.mark.parametrize(
-    ("shown", "word"), [("delay", "Cannot tell: "), ("stiffness", "Complete: ")]
-)
-def test_recordings_that_would_show_no_friction_nor_torque_over_position_cannot_tell(
-    shown: str, word: str, decided: Decided, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        engine, "detectable", lambda *a: tuple(x for x in detectable(*a) if x.effect == shown)
-    )
-    d = decided(reality.Machine())
-    assert d.headline.startswith(word), d.headline
-    assert (d.next_recording is not None) == (shown == "delay")
 
 
 @pytest.mark.parametrize("held", [0.0, 0.02])

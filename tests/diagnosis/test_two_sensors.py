@@ -14,7 +14,8 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.confidence import SUREST
-from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.remember import remembered
+from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.claims import Claim
@@ -28,7 +29,7 @@ from zendsp.diagnosis.transmission.measured import (
 from zendsp.diagnosis.transmission.torque_sensor import Sides, _with_sides, sides_of
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import parse_model
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Quantity, Term
 from zendsp.recording import Recording
 
 RATE, SECONDS = 500.0, 8.0
@@ -332,3 +333,21 @@ def test_no_compliance_is_reported_from_too_short_a_recording_or_beyond_the_trav
     monkeypatch.setattr(one_sensor, "compliance_unit", lambda model, joint: "rad/(N m)")
     found = one_sensor.by_one_sensor(parts, arm, [decision])  # type: ignore[arg-type]
     assert len(found) == told and all(d.size < 1.0 for d in found)
+
+
+@pytest.mark.parametrize(("sure", "kept"), [(1e9, False), (2.0, True)])
+def test_the_improved_model_holds_the_stiffness_that_only_two_sensors_know(
+    sure: float, kept: bool
+) -> None:
+    """Of a KUKA the report said 5.07e6, its model 1.7e6 ± 16e6, and the next diagnosis 4567."""
+    fitted = Term("elasticity", 1, {"stiffness": Quantity(30.0, std=sure)})
+    improved = model().with_terms((fitted,))
+    measured = {"stiffness": Estimate(50.0, 5.0, "N m/rad")}
+    told = Finding("elasticity", 1, measured, 0.9, 1.0, (), (), "", {}, "transmission")
+    decision = SimpleNamespace(
+        final=SimpleNamespace(model=improved), refinements=(), scale=1.0,
+        after=SimpleNamespace(value=0.0), state=SimpleNamespace(size=0.0),
+    )  # fmt: skip
+    (term,) = remembered(improved, model(), [decision], [told]).terms  # type: ignore[list-item]
+    stiffness = term.parameters["stiffness"]
+    assert (stiffness.value, stiffness.free) == ((30.0, True) if kept else (50.0, False))

@@ -16,18 +16,8 @@ import pytest
 from click.testing import CliRunner
 
 from zendsp.cli.prove import command
-from zendsp.proof.answer import Answer, Estimate, Finding, Smallest
+from zendsp.proof.answer import Answer, Estimate, Finding
 from zendsp.proof.convert import FILES, altered, convert, fetch, missing
-from zendsp.proof.implant import (
-    EFFECTS,
-    GAIN,
-    Implant,
-    implant_lines,
-    middle_motion,
-    parameters_for,
-    torque,
-    without_controller,
-)
 from zendsp.proof.real import MACHINES, Seen, look_at, main_status, model_folder, screw_ripple
 
 DATA = Path(os.environ.get("ZENDSP_DATA", "/nowhere"))
@@ -168,46 +158,3 @@ def test_pendulum_hangs_at_zero(tmp_path: Path) -> None:
         assert abs(np.mean(file["q"])) < 0.05  # it swings about the hanging position
         slope = np.gradient(file["q"], file["t"])
         assert np.corrcoef(slope, file["qd"])[0, 1] > 0.999
-
-
-def test_implant_is_just_the_torque_of_its_parameters() -> None:
-    t = np.arange(5000) * 1e-3
-    q, v = middle_motion(0.1 * np.sin(3 * t), 1e-3)
-    inner = slice(200, -200)  # filter's ends
-    assert np.allclose(q[inner], 0.1 * np.sin(3 * (t + 5e-4))[inner], atol=1e-6)
-    assert np.allclose(v[inner], 0.3 * np.cos(3 * (t + 5e-4))[inner], atol=1e-5)
-    command_ = np.ones_like(t)
-    for effect in EFFECTS:
-        p = parameters_for(effect, 1.0, q, v, command_)
-        rms = float(np.sqrt(np.mean(torque(effect, p, q, v) ** 2)))
-        assert 0.03 * GAIN < rms < 0.2 * GAIN  # about a tenth of the command's
-
-
-def test_controller_is_dropped_because_the_command_is_not_its_any_more(tmp_path: Path) -> None:
-    target = without_controller(model_folder() / "emps.toml", tmp_path / "m.toml")
-    table = tomllib.loads(target.read_text())
-    assert (
-        "controller" not in table and table["columns"]["command"] == "vir" and "actuator" in table
-    )
-
-
-def test_implant_counts_only_as_the_first_finding() -> None:
-    p = {"coefficient": 2.0}
-    right = Answer("missing", (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),))
-    late = Answer("missing", (Finding("ripple", 1), Finding("stiffness", 1)))
-    assert Implant("stiffness", 1.0, p, right).named
-    assert Implant("stiffness", 1.0, p, right).error() == pytest.approx(0.05)
-    assert not Implant("stiffness", 1.0, p, late).named
-
-
-def test_implants_above_the_stated_size_are_counted_apart() -> None:
-    seen = (Smallest(1, "stiffness", 1.0),)
-    named = Answer("missing", (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),))
-    done = [
-        Implant("stiffness", 1.0, {"coefficient": 2.0}, named, seen),
-        Implant("stiffness", 0.5, {"coefficient": 1.5}, Answer("complete"), seen),
-        Implant("stiffness", 0.3, {"coefficient": 0.5}, Answer("complete"), seen),
-    ]
-    assert [i.above for i in done] == [True, True, False]
-    assert implant_lines(done)[-1].endswith("1 of 2 named first, 1 called complete")
-    assert Implant("stiffness", 1.0, {"coefficient": 2.0}, Answer("complete")).above is None

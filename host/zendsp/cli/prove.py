@@ -116,7 +116,7 @@ def realities(words: str) -> tuple[str, ...]:
     help="Real machines instead: EMPS, a pendulum, a Stäubli TX40, a KUKA KR300.",
 )
 @click.option("--implant", is_flag=True, help="Known forces added to a real recording instead.")
-@click.option("--only", default="", help="With --real: one machine.")
+@click.option("--only", default="", help="With --real and --implant: one machine.")
 @click.option(
     "--fetch", is_flag=True, help="With --real: download what is absent and published as a file."
 )
@@ -297,15 +297,19 @@ def on_real_machines(
 
     if implant:
         from zendsp.proof.implant import implant_lines, run_implants
+        from zendsp.proof.implant_wishes import WANTED
 
+        if only and only not in WANTED:
+            raise click.UsageError(f"no implants for {only!r}; known are {', '.join(WANTED)}")
         try:
             done = run_implants(
-                data, out / "implants", limit, quick, jobs, lambda line: click.echo(line, err=True)
+                data, out / "implants", limit, quick, only, jobs,
+                lambda line: click.echo(line, err=True),
             )
         except (FileNotFoundError, RuntimeError) as error:
             raise click.ClickException(str(error)) from error
         click.echo("\n".join(implant_lines(done)))
-        return 0 if all(i.named for i in done) else 1
+        return 1 if any(i.broken for i in done) else 0
     known = [m.name for m in real.MACHINES]
     if only and only not in known:
         raise click.UsageError(f"no machine {only!r}; known are {', '.join(known)}")

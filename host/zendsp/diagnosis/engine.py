@@ -27,6 +27,7 @@ from zendsp.diagnosis.decide.contract import Rejected, Verdict, listed
 from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
+from zendsp.diagnosis.decide.detectable_push import detectable_pushes
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
@@ -215,15 +216,14 @@ def _with_zeros_given(
         verdict=verdict,
         findings=findings,
         refinements=refinements,
-        regions=places,
-        times=times,
-        times_of=at,
+        regions=places, times=times, times_of=at,
         unit=own.unit,
         estimation=own.estimation, heldout=own.heldout, test=own.test,
         noise_floor=own.noise_floor,
         others=tuple(others),
         discrepancy=tuple(_left(d) for d in decisions),
-        detectable=seen,
+        detectable=tuple(x for x in seen if x.is_shown),
+        undetectable=tuple(x for x in seen if not x.is_shown),
         rejected=rejected,
         next_recording=looked.proposal,
         seconds=time.perf_counter() - begin,
@@ -300,7 +300,10 @@ def _look_on(
     tell: Progress,
 ) -> _Looked:
     tell(Step.LOOKING_ON.says("asking what could have been seen"))
-    seen = detectable(found.parts, given, found.decisions, jobs)
+    seen = (
+        *detectable(found.parts, given, found.decisions, jobs),
+        *detectable_pushes(found.parts, given, found.decisions),
+    )
     bodies = detectable_bodies(
         found.parts, found.whole.improved, found.decisions, found.claims, jobs
     )
@@ -438,12 +441,19 @@ def _located(
     findings: Sequence[Finding],
     verdict: Verdict,
 ) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
-    """Where and when the missing torque acts; for a complete model, when something pushes it."""
-    if verdict != Verdict.COMPLETE:
-        return located({j: lacking[j] for j in _lacking(found, findings, verdict)})
-    pushes = [d.beside for d in found.decisions if d.beside is not None]
+    """Where and when the missing torque acts: of pushes their times; for a complete model, when
+    something pushes it.
+    """
+    if verdict == Verdict.COMPLETE:
+        pushes = [d.beside for d in found.decisions if d.beside is not None]
+    else:
+        pushes = [d.bursts for d in found.decisions if d.kind == Verdict.DISTURBANCE and d.bursts]
+    told = {d.joint for d in found.decisions if d.bursts in pushes}
+    elsewhere = {j: lacking[j] for j in _lacking(found, findings, verdict) - told}
+    places, times, at = located(elsewhere)
     spans = tuple(span for push in pushes for span in push.intervals)
-    return (), spans, tuple(name for push in pushes for name in push.recordings)
+    names = tuple(name for push in pushes for name in push.recordings)
+    return places, (*spans, *times), (*names, *at)
 
 
 def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set[int]:

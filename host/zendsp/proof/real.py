@@ -151,9 +151,12 @@ class Seen:
         return not self.absent and not self.answer.trouble and all(ok for _, ok in self.kept)
 
 
-def diagnose(model: Path, recordings: Recordings, out: Path, limit: float) -> Answer:
+def diagnose(
+    model: Path, recordings: Recordings, out: Path, limit: float, *options: str
+) -> Answer:
     """Run the command on a real recording."""
     line = [*command("diagnose"), *map(str, recordings.train), "--model", str(model), "--json"]
+    line += options
     for path in recordings.heldout:
         line += ["--heldout", str(path)]
     return asked(line, out, limit)

@@ -158,6 +158,16 @@ class DetectableReport(TypedDict):
     effect: str
     size: float
     unit: str
+    at: dict[str, float]  # the shape of the law that shows least, SI
+
+
+class UndetectableReport(TypedDict):
+    """An effect that would not have been seen even if large."""
+
+    joint: int
+    mechanism: str
+    effect: str
+    at: dict[str, float]
 
 
 class RegionReport(TypedDict):
@@ -222,6 +232,7 @@ class Report(TypedDict):
     refinements: list[FindingReport]
     discrepancy: list[LeftReport]
     detectable: list[DetectableReport]
+    undetectable: list[UndetectableReport]
     where: WhereReport
     fit: FitReport
     fit_other_unit: list[FitReport]  # where joints slide and turn

@@ -72,6 +72,9 @@ LARGER, FARTHER = 1.5, 10.0  # times the last at least, and at most
 # of the best determined combination of calibrated numbers: one less determined absorbs nothing.
 # Chosen
 TOLD = 1e-6
+# numbers of a law beside its size, phase and neutral point: the worst of each is stated
+SHAPES = ("order", "period", "time_constant", "velocity")
+NOT_SEEN = math.inf, 0.0  # size and torque of what no recording like these would show
 GRID = 12  # points of an effect's grid at most; the worst of them is stated
 
 
@@ -83,7 +86,8 @@ def detectable(
     Returns
     -------
     tuple of Detectable
-        One for each joint and ``sized`` effect that the joint does not have yet.
+        One for each joint and ``sized`` effect that the joint does not have yet; of infinite size
+        where even a large one would not have been found.
     """
     out = []
     for decision in decisions:
@@ -95,7 +99,8 @@ def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Dec
     """The decisions, with all torque possibly unexplained at a complete joint where neither a
     friction nor a torque over position would have been seen, however large.
     """
-    shown = {x.joint for x in seen if x.mechanism in {*FRICTION, "position_torque"}}
+    kinds = {*FRICTION, "position_torque"}
+    shown = {x.joint for x in seen if x.mechanism in kinds and x.is_shown}
     return [
         replace(d, after=replace(d.after, high=1.0))
         if d.kind == Verdict.COMPLETE and d.joint not in shown
@@ -108,10 +113,11 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
     test, joint, final = parts.test.within_limits_of(parts.fit), decision.joint, decision.final
     result, screen = _screened(test, decision, jobs)
     found, sought = _screened(parts.fit, decision, jobs)
-    traces = _Traces(sought, found, screen, result)
-    implant = _Implant(parts, decision, jobs)
+    implant = _Implant(parts, given, decision, jobs)
     after = max(decision.after.value, decision.after.often)
     sized = [effect for effect in library().values() if effect.sized]
+    other = {names: implant.other(names) for names in {effect.aliases for effect in sized}}
+    traces = {n: _Traces(sought, found, screen, result, terms) for n, terms in other.items()}
     kinds = {mechanism_of(effect.name) for effect in sized}
     # the error of the model's own laws of the kind, or what a law alone may leave
     laws = {m: kept_laws(given, final.model, joint, m) for m in kinds}
@@ -127,31 +133,39 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
-        term = _smallest(traces, name, implant.energy, beyond * scale)
-        size = None if term is None else implant.seen(term, beyond)
-        phase = phase_of(effect)
-        if term is not None and size is not None and phase:  # and a quarter period from it
-            across = term.value(phase) + 0.5 * math.pi
-            size = implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
-        if size is None:
-            continue
+        term = _smallest(traces[effect.aliases], name, implant.energy, beyond * scale)
+        size, torque = _worst(implant, effect, term, beyond)
         if effect.least is not None:  # the search takes no smaller one
             least = effect.least(facts(screen.records[0])).get(_key(effect), 0.0)
-            if size[0] < least:
-                size = least, size[1] * least / size[0]
+            size, torque = max(size, least), torque * max(1.0, least / size)
         parameter = effect.parameter(_key(effect))
         most = max(r.scale.of(parameter.size) for r in screen.records)
         most *= NOT_SMALL if parameter.above else 1.0  # it acts upon another, and seldom
-        if size[0] > (FIRST_ORDER if parameter.size == "time" else most):
-            continue  # not seen although as large as all torque or travel, or beyond any fit
+        if size > (FIRST_ORDER if parameter.size == "time" else most):
+            size, torque = NOT_SEEN  # although as large as all torque or travel, or beyond any fit
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),
             given.actuator.command_unit,
             given.torque_unit(joint),
         )
-        out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1]))
+        at = {n: term.value(n) for n in effect.grid if n in SHAPES} if term else {}
+        out.append(Detectable(joint, mechanism_of(name), name, size, unit, torque, at))
     return out
+
+
+def _worst(
+    implant: _Implant, effect: Effect, term: Term | None, beyond: float
+) -> tuple[float, float]:
+    """The size from which on an effect is seen, and its torque: at the worst of its points, and a
+    quarter period from it.
+    """
+    size = NOT_SEEN if term is None else implant.seen(term, beyond)
+    phase = phase_of(effect)
+    if term is None or size == NOT_SEEN or not phase:
+        return size
+    across = term.value(phase) + 0.5 * math.pi
+    return implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
 
 
 def _screened(part: Data, decision: Decision, jobs: int) -> tuple[Fit, Screen]:
@@ -174,12 +188,18 @@ def _key(effect: Effect) -> str:
 
 class _Traces:
     """Traces of effects in the innovations of the test recordings, after the calibrated numbers
-    have absorbed what the recordings of the fit suggest.
+    have absorbed what the recordings of the fit suggest: all but those of ``other`` terms, which
+    would be the finding by another name.
     """
 
-    def __init__(self, sought: Screen, found: Fit, screen: Screen, result: Fit) -> None:
+    def __init__(
+        self, sought: Screen, found: Fit, screen: Screen, result: Fit, other: Sequence[int]
+    ) -> None:
         self.sought, self.screen = sought, screen
-        free = [h.place != "offset" for h in found.handles]
+        free = [
+            h.place != "offset" and not (h.place == "term" and h.index in other)
+            for h in found.handles
+        ]
         there, here = (f.jacobian[: len(s.r), free] for f, s in ((found, sought), (result, screen)))
         unit = np.linalg.norm(there, axis=0)
         # without columns of no influence, or of a diverged prediction
@@ -211,7 +231,8 @@ def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term 
         if left <= 0:
             return None
         size = max(energy / left, torque / max(_torque(screen, column), 1e-300))
-        if worst is None or size > worst[0]:
+        # of a law that is not linear in its size, each point is another size
+        if worst is None or (size > worst[0]) is (key not in point):
             worst = size, values
     return worst and make_term(effect, screen.joint, {**worst[1], key: worst[0]})
 
@@ -222,10 +243,11 @@ class _Implant:
     recordings of the fit.
     """
 
-    def __init__(self, parts: Parts, decision: Decision, jobs: int) -> None:
+    def __init__(self, parts: Parts, given: Model, decision: Decision, jobs: int) -> None:
         self.test, self.joint, self.final, self.jobs = (
             parts.test, decision.joint, decision.final, jobs
         )  # fmt: skip
+        self.given = given.at(decision.joint)
         # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
         self.root = NINE_IN_TEN + math.sqrt(NINE_IN_TEN**2 + 2.0 * needed(self.test.joints))
         self.errors = window_error(self.test, self.final.model, self.joint)
@@ -237,30 +259,45 @@ class _Implant:
         # root of the energy that an effect must leave in the innovations
         self.energy = self.root * math.sqrt(mean * dependence(self.final, self.test, self.joint))
 
-    def seen(self, term: Term, least: float) -> tuple[float, float] | None:
+    def other(self, aliases: Sequence[str]) -> tuple[int, ...]:
+        """The places of terms that are an effect by another name, and would be the finding: those
+        of the given model are calibrated, and are none.
+        """
+        had = {t.effect for t in self.given}
+        return tuple(
+            i
+            for i, t in enumerate(self.final.model.terms)
+            if t.joint == self.joint and t.effect in aliases and t.effect not in had
+        )
+
+    def seen(self, term: Term, least: float) -> tuple[float, float]:
         """The size of an effect that would be found and claimed, and its torque after calibration,
-        ``least`` or more; both as parts of the RMS torque. The search begins at a term's size. None
-        where even an effect that is not small would not be found.
+        ``least`` or more, as a part of the RMS torque. The search begins at a term's size.
+        `NOT_SEEN` where even an effect that is not small would not be found.
         """
         key, absorbed = _key(get_effect(term.effect)), 0
-        without, grown = None, 1.0
+        without, grown, last = None, 1.0, False
+        other = self.other(get_effect(term.effect).aliases)
+        terms = [t.held() if i in other else t for i, t in enumerate(self.final.model.terms)]
         for _ in range(IMPLANTS):
-            held = {name: replace(q, free=False) for name, q in term.parameters.items()}
-            model = self.final.model.with_terms(
-                (*self.final.model.terms, replace(term, parameters=held))
-            )
-            if difference(self.test, model, self.final.model, self.joint) > NOT_SMALL:
-                return None
+            model = self.final.model.with_terms((*terms, term.held()))
+            large = difference(self.test, model, self.final.model, self.joint) / NOT_SMALL
+            if large > 1.0:  # the largest that is tried is near, or has been tried, or is too small
+                if last or not large < AMPLE * LARGER:
+                    return NOT_SEEN
+                grown, last = grown / (AMPLE * large), True
+                term = _set(term, {key: term.value(key) / (AMPLE * large)})
+                continue
             without = self._without(model, without, grown)
             lacking, torque = self._short_by(term, without, least)
             if lacking <= 1.0:
                 return term.value(key), torque
             absorbed += not math.isfinite(lacking)
-            if absorbed == ABSORBED:
-                return None
+            if absorbed == ABSORBED or last:
+                return NOT_SEEN
             grown = AMPLE * min(max(lacking, LARGER), FARTHER)
             term = _set(term, {key: grown * term.value(key)})
-        return None
+        return NOT_SEEN
 
     def _without(self, model: Model, smaller: Scored | None, grown: float) -> Scored:
         """The calibrated numbers and the observer fitted without the implant. They start from those

@@ -9,6 +9,7 @@ from dataclasses import replace
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.decide.rivals import replaced
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Discrepancy, Model, Term
 
 
@@ -48,20 +49,20 @@ def remembered(
 
 
 def _stated(term: Term, findings: Sequence[Finding]) -> Term:
-    """A term with the standard deviations of the finding for it."""
-    stds = {
-        (name, e.value): e.std
-        for f in findings
-        if (f.effect, f.joint) == (term.effect, term.joint)
-        for name, e in f.parameters.items()
-    }
-    return replace(
-        term,
-        parameters={
-            name: replace(q, std=stds.get((name, q.value), q.std))
-            for name, q in term.parameters.items()
-        },
-    )
+    """A term with the standard deviations of the finding for it. A number of a transmission that
+    two sensors know better than the fit to one is theirs, and held: fitted again, it would be lost.
+    """
+    numbers, between = dict(term.parameters), get_effect(term.effect).family == "transmission"
+    for f in findings:
+        if (f.effect, f.joint) != (term.effect, term.joint):
+            continue
+        for name, e in f.parameters.items():
+            q = numbers.get(name)
+            if q is not None and e.value == q.value:
+                numbers[name] = replace(q, std=e.std)
+            elif q is not None and between and q.free and 0.0 < e.std < q.std:
+                numbers[name] = replace(q, value=e.value, std=e.std, free=False)
+    return replace(term, parameters=numbers)
 
 
 def _numbered(terms: Sequence[Term]) -> list[tuple[str, int, int]]:

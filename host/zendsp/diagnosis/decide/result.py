@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -176,9 +177,16 @@ class Detectable:
     joint: int
     mechanism: str
     effect: str
-    size: float
+    size: float  # infinite where even a large one would not have been shown
     unit: str
     share: float  # of the RMS torque
+    # the shape of its law that shows least, SI: a period, the speed of a Stribeck curve
+    at: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether some size would have been shown."""
+        return math.isfinite(self.size)
 
 
 @dataclass(frozen=True)
@@ -274,7 +282,8 @@ class Diagnosis:
     unexplained : str
         The unexplained torque, a line for each joint; empty where there is none.
     discrepancy : tuple of Left
-    detectable : tuple of Detectable
+    detectable, undetectable : tuple of Detectable
+        The smallest effects that would have been seen; and those that would not even if large.
     others : tuple of Errors
         Errors of the joints with the other unit of position, where joints slide and turn.
     """
@@ -302,6 +311,7 @@ class Diagnosis:
     refinements: tuple[Finding, ...] = ()  # what improves the fit and is not claimed
     discrepancy: tuple[Left, ...] = ()
     detectable: tuple[Detectable, ...] = ()
+    undetectable: tuple[Detectable, ...] = ()
     times_of: tuple[str, ...] = ()
     others: tuple[Errors, ...] = ()
     test: FitTable | None = None  # on recordings that neither the fit nor any choice has touched
@@ -372,8 +382,18 @@ class Diagnosis:
                     "effect": d.effect,
                     "size": _rounded(d.size),
                     "unit": d.unit,
+                    "at": {name: _rounded(x) for name, x in d.at.items()},
                 }
                 for d in self.detectable
+            ],
+            "undetectable": [
+                {
+                    "joint": d.joint,
+                    "mechanism": d.mechanism,
+                    "effect": d.effect,
+                    "at": {name: _rounded(x) for name, x in d.at.items()},
+                }
+                for d in self.undetectable
             ],
             "where": self._where(),
             "fit": self.errors[0].as_dict(),

@@ -100,8 +100,9 @@ def acting_of(part: Lacking, joint: int, quiet: float, least: float | None = Non
     masks = []
     for level, rec in zip(part.levels, part.data.records, strict=True):
         gap = max(1, round(0.25 / rec[joint - 1].sample_time))
-        high = widened(np.pad(level > above, 1), gap)  # gaps between are filled
-        masks.append(~widened(~np.pad(high, 1), gap)[2:-2])
+        # gaps between are filled, and nothing is lost at the ends of a recording
+        high = widened(np.pad(level > above, 2 * gap), gap)
+        masks.append(~widened(~high, gap)[2 * gap : -2 * gap])
     return Acting(part, tuple(masks), above)
 
 

@@ -12,7 +12,7 @@ from zendsp.diagnosis.decide.contract import Verdict, dark, spans
 from zendsp.diagnosis.decide.headline import word_of
 from zendsp.diagnosis.decide.result import Diagnosis, Errors, Finding, number
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import SMALLER, before, unnamed
+from zendsp.diagnosis.report.summary import SMALLER, before, hidden, unasked, unnamed
 
 SAID = 4  # findings on the first sheet
 SHARE = (
@@ -125,7 +125,9 @@ def _left(d: Diagnosis) -> str:
 
 
 def _could_not(d: Diagnosis) -> str:
-    """A table for each joint of the smallest sizes that these recordings would have shown."""
+    """A table for each joint of the smallest sizes that these recordings would have shown, and what
+    they would not have shown.
+    """
     joints = sorted({x.joint for x in d.detectable})
     rows = []
     for joint in joints:
@@ -135,9 +137,12 @@ def _could_not(d: Diagnosis) -> str:
             if x.joint == joint
         )
         rows.append(f"<li>joint {joint}: {sizes}")
+    if d.undetectable:
+        rows.append(f"<li>would not be seen here even if large: {escape(hidden(d.undetectable))}")
     return (
         "<p><b>What may have been missed:</b> what is smaller than this. Of what is as large, nine"
-        " of ten would have been found; of what is half or a third of it, many are, too.</p>"
+        " of ten would have been found; of what is half or a third of it, many are, too. Of the"
+        f" other laws no size is asked: {', '.join(unasked())}.</p>"
         f"<ul>{''.join(rows)}</ul>"
         if rows
         else ""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from zendsp.diagnosis.decide.contract import Verdict, spans
 from zendsp.diagnosis.decide.headline import SMALLEST_SHARE, percent
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, library
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
@@ -61,6 +61,8 @@ def summary(d: Diagnosis) -> str:
             lines.append(f"nothing named explains: joint {x.joint}, {left}")
     if d.detectable:
         lines.append(f"what may have been missed: {_missed(d.detectable)}")
+    if d.undetectable:
+        lines.append(f"would not be seen here even if large: {hidden(d.undetectable)}")
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:
@@ -81,8 +83,32 @@ def _missed(detectable: Sequence[Detectable]) -> str:
     return named + (f", and {counted(more, 'smaller one')}" if more else "")
 
 
+def hidden(undetectable: Sequence[Detectable]) -> str:
+    """The effects that these recordings would not show, each with its joints; where that depends on
+    the shape of a law, with the one that shows least.
+    """
+    joints: dict[str, list[Detectable]] = {}
+    for x in undetectable:
+        joints.setdefault(x.effect, []).append(x)
+    return ", ".join(
+        f"{effect} (joint{'s' if len(each) > 1 else ''} {', '.join(map(_joint_of, each))})"
+        for effect, each in joints.items()
+    )
+
+
+def unasked() -> list[str]:
+    """The laws that are looked for, and of which no smallest size is computed."""
+    sought = (e for e in library().values() if e.site != "body" and (e.linear or e.grid or e.scan))
+    return [e.name for e in sought if not e.sized]
+
+
+def _joint_of(x: Detectable) -> str:
+    at = " and ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in x.at.items())
+    return f"{x.joint} at {at}" if at else str(x.joint)
+
+
 def _is_body(x: Detectable) -> bool:
-    return get_effect(x.effect).site == "body"
+    return x.effect in library() and get_effect(x.effect).site == "body"
 
 
 def _sized(x: Detectable) -> str:

@@ -20,6 +20,7 @@ EFFECT = Effect(
     over="position",
     linear=("coefficient",),
     grid={"neutral": around_centre(-0.5, 0.0, 0.5)},
+    sized=True,
     rivals=("stiffness", "gravity"),
     compensable="p[0] * pow(q - p[1], 3)",
     restart=near(3),

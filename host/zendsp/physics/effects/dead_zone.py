@@ -21,6 +21,7 @@ EFFECT = Effect(
     over="command",
     grid={"width": (0.02, 0.05, 0.1, 0.2, 0.4)},
     shown_by=("current",),
+    sized=True,
     rivals=("coulomb", "backlash"),
     inverse="wanted + p[0] * gain * tanh(wanted / (0.05 * p[0] * gain + 1e-12))",
 )

@@ -35,6 +35,7 @@ EFFECT = Effect(
     retime=_moved,
     hidden=True,
     family="timing",
+    sized=True,
     rivals=("delay", "position_filter", "column_shift"),
     why_not="a torque cannot come sooner: lower the bandwidth, or predict the reference",
 )

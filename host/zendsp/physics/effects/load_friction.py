@@ -29,6 +29,7 @@ EFFECT = Effect(
     linear=("coefficient",),
     grid={"of": lambda _facts: (0.0, 1.0)},
     tries=({"of": 0.0}, {"of": 1.0}),
+    sized=True,
     rivals=("coulomb", "torque_gain"),
     compensable="p[0] * fabs(tau) * sgn(qd)",
 )

@@ -50,6 +50,7 @@ EFFECT = Effect(
     over="position",
     linear=("amplitude",),
     grid={"period": _periods, "phase": (0.0, 1.5707963267948966)},
+    sized=True,
     rivals=("ripple", "coulomb"),
     repeatable=True,
     compensable="p[0] * sin(6.283185307179586 * q / p[1] + p[2]) * sgn(qd)",

@@ -170,4 +170,7 @@ def _unseen(r: Report) -> str:
         f"{'' if x['unit'] == '1' else x['unit']}"
         for x in r["detectable"]
     ]
+    hidden = [f"joint {x['joint']}  {x['effect']}" for x in r.get("undetectable", ())]
+    if hidden:
+        lines += ["", "Would not be seen here even if large:", "", *hidden]
     return "\n".join(lines)

@@ -1,0 +1,44 @@
+"""The smallest push that these recordings would have shown at each joint.
+
+A disturbance is asked for where the torque that lacks is more than `LAWFUL`, and is one where most
+of that acts within it (`measure/bursts.py`). So a push of one second has to have that RMS torque
+over the longest part of the recordings, and to stand out of all else that is not explained there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.decide.thresholds import LAWFUL
+from zendsp.diagnosis.measure.bursts import BURST_SHARE
+from zendsp.physics.model import Model
+
+A_PUSH = "disturbance"  # the mechanism, and its name
+LASTS = 1.0  # s, the push of which a size is stated
+# RMS of a push over that of the rest, with which all but BURST_SHARE of the energy is the push's
+# RMS torque that is found missing, of that of a push of one second in 6 or in 12, along which the
+# calibrated numbers follow it: 0.53 and 0.49
+STAYS_MISSING = 0.5
+OUT_OF = math.sqrt((1.0 - BURST_SHARE) / BURST_SHARE)
+
+
+def detectable_pushes(
+    parts: Parts, given: Model, decisions: Sequence[Decision]
+) -> tuple[Detectable, ...]:
+    """The smallest push of a second that would have been found at each joint, N m or N."""
+    out = []
+    for d in decisions:
+        seconds = max(
+            sum(rec[d.joint - 1].n * rec[d.joint - 1].sample_time for rec in part.records)
+            for part in parts.each
+        )
+        needed = max(LAWFUL, OUT_OF * max(d.after.high, d.after.often))
+        share = needed / STAYS_MISSING * math.sqrt(seconds / LASTS)
+        size = share * d.scale if share <= 1.0 else math.inf
+        unit = given.torque_unit(d.joint)
+        out.append(Detectable(d.joint, A_PUSH, A_PUSH, size, unit, needed))
+    return tuple(out)

@@ -1,0 +1,166 @@
+"""What the report says that these recordings would have shown, and what not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+import reality
+
+from zendsp.diagnosis import Diagnosis, engine
+from zendsp.diagnosis.decide import detectable as sizes
+from zendsp.diagnosis.decide.detectable import detectable
+from zendsp.diagnosis.report.html import _could_not
+from zendsp.diagnosis.report.summary import summary
+from zendsp.diagnosis.search.screen import FIRST_ORDER
+from zendsp.physics.calibration.handles import get_values
+from zendsp.physics.effects import get_effect, library
+from zendsp.physics.model import Quantity, Term
+
+Decided = Callable[..., Diagnosis]
+
+
+@pytest.mark.usefixtures("searched_once")
+@pytest.mark.parametrize(
+    ("number", "none", "effect"),
+    [
+        ("ripple", 0.0, "ripple"),
+        ("breakaway", reality.Machine.coulomb, "stribeck"),
+        ("fade", 0.0, "gain_drift"),
+    ],
+)
+def test_twice_the_size_that_complete_states_as_detectable_is_named(
+    number: str, none: float, effect: str, decided: Decided
+) -> None:
+    d = decided(reality.Machine())
+    assert d.verdict == "complete"
+    told = next(x for x in d.detectable if x.effect == effect)
+    assert 0 < told.size < 0.1
+    again = decided(reality.Machine(**{number: none + 2 * told.size}))
+    assert [f.effect for f in again.findings] == [effect]
+
+
+@pytest.mark.usefixtures("searched_once")
+@pytest.mark.parametrize("late", [0.02, 0.2])
+def test_no_delay_is_said_to_be_missed_below_a_time_that_no_fit_reaches(
+    late: float, decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a KUKA a delay of 0.2 s "may have been missed"."""
+    monkeypatch.setattr(sizes._Implant, "seen", lambda *_: (late, 0.1))
+    told = {x.effect for x in decided(reality.Machine()).detectable}
+    assert ("delay" in told) is (late < FIRST_ORDER)
+
+
+@pytest.mark.usefixtures("searched_once")
+def test_the_fit_of_a_larger_implant_begins_from_that_of_the_smaller_one(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fits: list[Any] = []
+    fit_scored = sizes.fit_scored
+
+    def noted(data: Any, model: Any, handles: Any, *rest: Any, **more: Any) -> Any:
+        out = fit_scored(data, model, handles, *rest, **more)
+        fits.append((model.terms[-1], get_values(model, handles), get_values(out.model, handles)))
+        return out
+
+    monkeypatch.setattr(sizes, "fit_scored", noted)
+    decided(reality.Machine())
+    given: dict[str, Any] = {}
+    for term, begun, _ in fits:
+        given.setdefault(term.effect, begun)
+    larger = 0
+    for (small, _, ended), (large, begun, _) in pairwise(fits):
+        key = sizes._key(get_effect(small.effect))
+        if small.effect == large.effect and large.value(key) > small.value(key):
+            grown = large.value(key) / small.value(key)
+            first = given[small.effect]
+            assert begun == pytest.approx(first + grown * (ended - first))
+            larger += 1
+    assert larger
+
+
+@pytest.mark.usefixtures("searched_once")
+@pytest.mark.parametrize(
+    ("shown", "word"), [("delay", "Cannot tell: "), ("stiffness", "Complete: ")]
+)
+def test_recordings_that_would_show_no_friction_nor_torque_over_position_cannot_tell(
+    shown: str, word: str, decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        engine, "detectable", lambda *a: tuple(x for x in detectable(*a) if x.effect == shown)
+    )
+    d = decided(reality.Machine())
+    assert d.headline.startswith(word), d.headline
+    assert (d.next_recording is not None) == (shown == "delay")
+
+
+class _OneImplant(sizes._Implant):
+    """An implant that is seen from a size of ``enough`` on, and grows with its size alone."""
+
+    def __init__(self, enough: float) -> None:
+        self.enough, self.test, self.joint = enough, None, 1  # type: ignore[assignment]
+        self.final = self  # type: ignore[assignment]
+        self.model, self.terms, self.given = self, (), ()
+
+    def with_terms(self, terms: tuple[Term, ...]) -> Term:
+        return terms[-1]
+
+    def _without(self, *_: Any) -> Any:
+        return None
+
+    def _short_by(self, term: Term, *_: Any) -> tuple[float, float]:
+        return self.enough / term.value("coefficient"), 0.1
+
+
+@pytest.mark.parametrize(("enough", "seen"), [(1.1, 1.19), (1.19, 1.19), (1.3, np.inf)])
+def test_the_largest_effect_that_is_not_small_is_tried_before_none_is_said_to_be_seen(
+    enough: float, seen: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drift of a drive's gain on EMPS lacked 3 %, and a step of half as much passed the limit."""
+    limit = sizes.NOT_SMALL / 1.25
+    monkeypatch.setattr(sizes, "difference", lambda _, term, *__: limit * term.value("coefficient"))
+    begun = Term("stiffness", 1, {"coefficient": Quantity(1.0), "neutral": Quantity(0.0)})
+    size, _ = _OneImplant(enough).seen(begun, 0.02)
+    assert size == pytest.approx(seen, rel=0.01)
+
+
+@pytest.mark.usefixtures("searched_once")
+def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
+    """Of EMPS no size of a drag was stated, and its silence read as if none could be missed."""
+    d = decided(reality.Machine())
+    report = d.report()
+    shown, hidden = ({x["effect"] for x in report[key]} for key in ("detectable", "undetectable"))
+    has = {t.effect for t in d.improved.terms} | {"inertia"}  # a number of the mechanism
+    asked = {e.name for e in library().values() if e.sized} | {"disturbance"}
+    assert shown | hidden == asked - has
+    assert "torque_gain" in hidden, "inertia and friction, calibrated, imitate it"
+    assert "delay" in shown, "a shift of the command column, refined, had imitated it"
+    assert "would not be seen here even if large: " in summary(d)
+    listed = _could_not(d).partition("no size is asked: ")[2].partition(".</p>")[0].split(", ")
+    assert {"elasticity", "backlash", "hysteresis"} <= set(listed)
+    assert not {"ripple", "coulomb_tanh", "payload"} & set(listed)
+
+
+@pytest.mark.parametrize(
+    ("begin", "held"),
+    # the second across the cut between what chooses and what tests, whose first quarter of a second
+    # was left out of any push
+    [(1.5, True), (4.2, True), (2.0, False)],
+)
+def test_a_push_of_the_stated_size_is_found_in_either_part_of_the_data(
+    begin: float, held: bool, decided: Decided
+) -> None:
+    """The report said nothing of pushes, which it knows how to find. And where one lay in what is
+    held out, `where` had the times at which the recordings of the fit lack most, which is nothing.
+    """
+    still = reality.Machine()
+    told = next(x for x in decided(still).detectable if x.effect == "disturbance")
+    assert 0.0 < told.size < 0.2
+    pushed = reality.Machine(push=(1.3 * told.size, begin, begin + 1.0))
+    d = decided(*((still, pushed) if held else (pushed, still)))
+    (found,) = d.findings
+    assert found.effect == "disturbance"
+    assert d.times and all(begin - 0.3 < a and b < begin + 1.3 for a, b in d.times)
