@@ -50,7 +50,9 @@ def test_the_search_goes_on_with_a_missing_common_friction_unless_it_is_contradi
     before: Any = SimpleNamespace(deviance=0.0, model=model(*given))
     better: Any = SimpleNamespace(deviance=-500.0)
     asked = joints.Acceptance(SimpleNamespace())  # type: ignore[arg-type]
-    assert asked(before, Rival(effect, 1, better, 0.0, (), ())) is goes_on
+    rival = Rival(effect, 1, better, 0.0, (), ())
+    assert asked(before, rival) is goes_on
+    assert asked(before, rival, waits=True) is (z > -1.0)
 
 
 @pytest.mark.parametrize(

@@ -225,12 +225,9 @@ def test_numbers_that_make_an_effect_vanish_gain_nothing() -> None:
     assert none == 0.0 and gain > 1.0 and theta == pytest.approx(-2.0)
 
 
-@pytest.mark.parametrize(
-    ("alone", "goes_on", "warm"),
-    [(100.0, False, True), (500.0, False, False), (100.0, True, False)],
-)
-def test_findings_are_refitted_upon_a_creep_that_gains_little(
-    monkeypatch: pytest.MonkeyPatch, alone: float, goes_on: bool, warm: bool
+@pytest.mark.parametrize(("alone", "warm"), [(100.0, True), (500.0, False)])
+def test_findings_are_refitted_upon_a_creep_that_gains_little_and_the_search_goes_on(
+    monkeypatch: pytest.MonkeyPatch, alone: float, warm: bool
 ) -> None:
     def scored(deviance: float) -> Any:
         return SimpleNamespace(deviance=deviance)
@@ -241,12 +238,42 @@ def test_findings_are_refitted_upon_a_creep_that_gains_little(
     both, begun = scored(-1055.0), []
     monkeypatch.setattr(joints, "upon", lambda *given: begun.append(given) or upon)
     again: Any = SimpleNamespace(
-        goes_on=lambda found: found is upon.final and goes_on,
+        further=lambda found: ("further", found),
         creeping=lambda *given: both if given == (first.final, soft.model.terms[-1]) else None,
     )
     found = joints._upon_creep(first, soft, again, 1)
-    assert found is (upon if warm else None)
-    assert begun == [(first, soft, 1, both)] * (alone < 150.0)
+    assert found == (("further", upon) if warm else None)
+    assert begun == [(first, soft, 1, both)] * warm
+
+
+@pytest.mark.parametrize(("ahead", "begun"), [(50.0, ["creep"]), (30.0, ["", "creep"])])
+def test_a_creep_likelier_than_every_hypothesis_comes_before_the_search(
+    ahead: float, begun: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    given = model_of(VISCOUS, COULOMB)
+    parts: Any = SimpleNamespace(fit=data_of(columns, given), choose=None)
+    paid = 2 * np.log(sum(rec[0].informative for rec in parts.fit.records))
+    base: Any = SimpleNamespace(deviance=0.0, model=given)
+    creep = model_of(VISCOUS, COULOMB, CREEP)
+    soft: Any = SimpleNamespace(deviance=-100.0 - ahead - paid, model=creep)
+    searched: list[str] = []
+
+    def search(_: Searcher, begin: Any) -> JointSearch:
+        searched.append("creep" if begin is soft else "")
+        return JointSearch(1, begin)
+
+    rival: Any = SimpleNamespace(value=-100.0)
+    monkeypatch.setattr(Rounds, "round", lambda *_: [rival])
+    for name, result in (("softened", soft), ("late_log", None), ("_rotor", None)):
+        monkeypatch.setattr(Searcher, name, lambda *_, result=result: result)
+    monkeypatch.setattr(Searcher, "search", search)
+    monkeypatch.setattr(joints, "is_white", lambda *_: False)
+    monkeypatch.setattr(joints, "calibrate_joint", lambda *_: base)
+    monkeypatch.setattr(joints, "with_fine_ripples", lambda _, found, __: found)
+    monkeypatch.setattr(joints, "decide", lambda _, beneath, *__: beneath)
+    found, beneath = joints._search_joint(parts, given, 1, 1, print)
+    assert searched == begun and found.base is soft and beneath == creep
 
 
 @pytest.mark.parametrize("likelier", [True, False])
@@ -271,22 +298,45 @@ def test_creep_is_fitted_round_and_straight_where_the_known_one_is_worse(
     assert best.began == begun[-1]
 
 
-@pytest.mark.parametrize(
-    ("gain", "accepted", "goes_on"),
-    [(100.0, True, True), (100.0, False, False), (9000.0, False, True), (20.0, True, False)],
-)
-def test_a_search_continues_with_accepted_steps_and_with_those_that_may_wait(
-    gain: float, accepted: bool, goes_on: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("white", "promise", "goes_on"), [
+    (False, 100.0, True), (False, 20.0, False), (True, 100.0, False),
+])  # fmt: skip
+def test_a_search_goes_on_from_what_was_found_where_more_is_promised(
+    white: bool, promise: float, goes_on: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    current: Any = SimpleNamespace(deviance=0.0)
-    rival: Any = SimpleNamespace(value=-gain, rank=np.nan)
     columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
     data = data_of(columns, model_of(VISCOUS, COULOMB))
-    searcher = Searcher(data, 1, lambda *_: accepted, 1, print)
-    monkeypatch.setattr("zendsp.diagnosis.search.forward.is_white", lambda *_: False)
-    monkeypatch.setattr(Rounds, "glance", lambda *_: -1000.0)
-    monkeypatch.setattr(Rounds, "round", lambda *_: [rival])
-    assert searcher.goes_on(current) is goes_on
+    found: Any = SimpleNamespace(final=SimpleNamespace(deviance=0.0))
+    monkeypatch.setattr(forward, "is_white", lambda *_: white)
+    monkeypatch.setattr(Rounds, "glance", lambda *_: -promise)
+    monkeypatch.setattr(Searcher, "_chain", lambda _, begin, found: ("further", begin, found))
+    searcher = Searcher(data, 1, lambda *_: True, 1, print)
+    assert searcher.further(found) == (("further", found.final, found) if goes_on else found)
+
+
+@pytest.mark.parametrize(("contradicted", "rounds"), [(True, 1), (False, 2)])
+def test_one_step_waits_for_a_second_unless_it_is_contradicted(
+    contradicted: bool, rounds: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    model = model_of(VISCOUS, COULOMB)
+    data = data_of(columns, model)
+    levels = iter(range(0, -90_000, -9000))
+
+    def scored() -> Any:
+        return SimpleNamespace(deviance=next(levels), model=model)
+
+    asked: list[float] = []
+
+    def round_of(_: Rounds, current: Any) -> list[Rival]:
+        asked.append(current.deviance)
+        return [Rival("ripple", 1, scored(), 0.0, model.terms[:1], ())]
+
+    monkeypatch.setattr(forward, "is_white", lambda *_: False)
+    monkeypatch.setattr(Rounds, "round", round_of)
+    monkeypatch.setattr(Searcher, "_best_first", lambda _, __, rivals: rivals)
+    searcher = Searcher(data, 1, lambda *_, waits=False: waits and not contradicted, 1, print)
+    assert searcher._chain(scored()).steps == [] and len(asked) == rounds
 
 
 def test_no_step_starts_from_a_backlash_of_no_width(monkeypatch: pytest.MonkeyPatch) -> None:

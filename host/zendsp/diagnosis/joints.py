@@ -65,27 +65,28 @@ class Outnumbered(Exception):
     """The joints claim as many laws as the explanation to which they are compared."""
 
 
-# standard deviations on the recordings to choose by from which a step is taken; and a friction that
-# every machine has (of a real axis with both, and neither in its model, each had -0.6 in 5 s)
+# standard deviations on the recordings to choose by from which a step is taken; and from which one
+# may wait for another, or a friction is taken that every machine has (of a real axis with both, and
+# neither in its model, each had -0.6 in 5 s)
 GOES_ON, CONTRADICTED = 1.0, -1.0
 
 
 class Acceptance:
     """Decides whether the search goes on with a step: it must pay for its parameters, also on the
-    recordings to choose by. It claims nothing.
+    recordings to choose by; which must not contradict one that ``waits``. It claims nothing.
     """
 
     def __init__(self, choose: Data) -> None:
         self.choose = choose
 
-    def __call__(self, before: Scored, rival: Rival) -> bool:
+    def __call__(self, before: Scored, rival: Rival, *, waits: bool = False) -> bool:
         if before.deviance - rival.value < WAIT:
             return False
         held = compare(before, rival.scored, self.choose, rival.joint)
         # every machine has friction: such a step has only not to be contradicted
         own = mechanism_of(rival.effect)
         expected = get_effect(rival.effect).common and not has(before.model, own, rival.joint)
-        return held.z > (CONTRADICTED if expected else GOES_ON)
+        return held.z > (CONTRADICTED if expected or waits else GOES_ON)
 
 
 def plainer(test: Data, given: Model, one: Explained, other: Explained, bodies: int) -> bool:
@@ -312,20 +313,20 @@ def _search_joint(
     if late is not None:  # found before any physics is blamed
         base, beneath = late, beneath.with_terms((*beneath.terms, late.model.terms[-1]))
         searcher = Searcher(parts.fit, joint, accept, jobs, tell, beneath)
-    search = searcher.search(base)
     # how a known friction acts at reversals is no missing physics, and hides what is
-    soft = None if is_white(search.final, joint) else searcher.softened(base)
-    if soft is not None:
-        tell(Step.SEARCHING.says(f"joint {joint}: again, with a dry friction that creeps"))
+    soft = None if is_white(base, joint) else searcher.softened(base)
+    first = soft is not None and searcher.leads(soft, base)
+    search = JointSearch(joint, base) if first else searcher.search(base)
+    if soft is not None and (first or not is_white(search.final, joint)):
+        tell(Step.SEARCHING.says(f"joint {joint}: with a dry friction that creeps"))
         creeping = beneath.with_terms((*beneath.terms, soft.model.terms[-1]))
         again = Searcher(parts.fit, joint, accept, jobs, tell, creeping)
-        warm = _upon_creep(search, soft, again, jobs)
-        other = warm or again.search(soft)
+        other = _upon_creep(search, soft, again, jobs) or again.search(soft)
         if other.final.deviance < search.final.deviance - WAIT:
-            if warm and all(t.effect != "creep" for t in warm.final.model.at(joint)):
-                search = replace(warm, base=base)  # the creep is no longer needed
-            else:
+            if any(t.effect == "creep" for t in other.final.model.at(joint)):
                 search, beneath = other, creeping
+            else:
+                search = replace(other, base=base)  # the creep is no longer needed
     if beneath.joints == 1:  # of several, bodies and links come before what passes fast
         rippled = with_fine_ripples(parts, search, jobs)
         if rippled.fine:
@@ -352,15 +353,14 @@ def _seems(decision: Decision) -> str:
 def _upon_creep(
     first: JointSearch, soft: Scored, again: Searcher, jobs: int
 ) -> JointSearch | None:
-    """The earlier search, fitted again upon a creeping friction, where creep gains little beside it
-    and leads to nothing more. None where creep may have been mistaken for what was found.
+    """The earlier search, fitted again upon a creeping friction, and gone on with. None where the
+    creep gains so much that it may have been mistaken for what was found.
     """
     found = first.base.deviance - first.final.deviance
     if not first.base.deviance - soft.deviance < CREEPS * found:
         return None
     both = again.creeping(first.final, soft.model.terms[-1])
-    other = upon(first, soft, jobs, both)
-    return None if again.goes_on(other.final) else other
+    return again.further(upon(first, soft, jobs, both))
 
 
 def with_fine_ripples(parts: Parts, search: JointSearch, jobs: int) -> JointSearch:

@@ -44,7 +44,6 @@ WHITE = 1.2  # slow variation of the innovations, over that of white noise
 # behind a first
 LOOK_AHEAD = 0.1
 LONGEST_CHAIN = 6  # most effects of a chain
-WAITING = 3  # steps that may wait for another at the same time
 FIRST = 0.4  # of the best gain: least gain of a runner-up to be tried as the first step
 # of the samples with a change of the count: with fewer (slow motion), whiteness is not tested
 CODES = 0.5
@@ -62,7 +61,7 @@ class Searcher:
         self,
         data: Data,
         joint: int,
-        accept: Callable[[Scored, Rival], bool],
+        accept: Callable[..., bool],
         jobs: int,
         progress: Progress,
         given: Model | None = None,
@@ -119,22 +118,30 @@ class Searcher:
         terms = scored.model.terms[-1:]
         return Rival("inertia", joint, scored, price(terms, self.rounds.n), terms, ())
 
-    def goes_on(self, current: Scored) -> bool:
-        """Whether a search would add one more effect to a model."""
+    def further(self, found: JointSearch) -> JointSearch:
+        """A search that goes on from its final model."""
+        current = found.final
         if is_white(current, self.joint):
-            return False
+            return found
         if self.rounds.glance(current, frozenset()) >= current.deviance - WAIT:
+            return found
+        return self._chain(current, found=found)
+
+    def leads(self, creeping: Scored, base: Scored) -> bool:
+        """Whether a dry friction that creeps makes a model likelier than every other hypothesis,
+        where its inertia is known.
+        """
+        if self._rotor(base) is not None:
             return False
-        rivals = self.rounds.round(current)
-        return any(
-            current.deviance - r.value >= WAIT
-            and (self.accept(current, r) or self._may_wait(current, r))
-            for r in rivals[:RUNNERS]
-        )
+        paid = price(creeping.model.terms[-1:], self.rounds.n)
+        return all(creeping.deviance + paid < r.value - WAIT for r in self.rounds.round(base))
 
     def _may_wait(self, current: Scored, rival: Rival) -> bool:
-        """Whether a step that does not pass by itself may wait for the next one."""
-        return _gain(current, rival) > max(WORTH, LOOK_AHEAD * self.rounds.n)
+        """Whether a step that does not pass by itself may wait for the next one: it is likely, and
+        the recordings to choose by do not contradict it.
+        """
+        likely = _gain(current, rival) > max(WORTH, LOOK_AHEAD * self.rounds.n)
+        return likely and self.accept(current, rival, waits=True)
 
     def softened(self, base: Scored) -> Scored | None:
         """The calibrated model with a dry friction that creeps instead of holding; None where it
@@ -197,14 +204,16 @@ class Searcher:
                 break
         return min(tried, key=lambda scored: scored.deviance)
 
-    def _chain(self, base: Scored, begin: Rival | None = None) -> JointSearch:
-        """The search that adds effects to a calibrated model until none passes, the first of them
-        ``begin`` where given.
+    def _chain(
+        self, base: Scored, begin: Rival | None = None, found: JointSearch | None = None
+    ) -> JointSearch:
+        """The search that adds effects to a model until none passes, the first of them ``begin``
+        where given; the model is a calibrated one, or what was ``found`` so far.
 
         A likely step that fails on the recordings to choose by may need another effect that is
         still hidden: it waits for the next one, and both are judged together.
         """
-        found = JointSearch(self.joint, base)
+        found = replace(found, steps=[*found.steps]) if found else JointSearch(self.joint, base)
         current = held = base  # held: the model of all accepted steps
         waiting: list[Step] = []
         while len(found.steps) + len(waiting) < LONGEST_CHAIN:
@@ -233,17 +242,18 @@ class Searcher:
             if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < WAITING and self._may_wait(current, chosen):
-                waiting.append(replace(step, alone=False))
+            elif not waiting and self._may_wait(current, chosen):
+                waiting = [replace(step, alone=False)]
             else:
                 break
             current = rivals[0].scored
             if not waiting:
                 current = split_asymmetry(found, current, self.jobs)
                 current = held = straightened(found, current, self.jobs)
-        if found.steps:
+        if held is not base:
             found.best = held
-            found.best, found.dropped = simplify(found, self.rounds.n, self.jobs)
+            found.best, dropped = simplify(found, self.rounds.n, self.jobs)
+            found.dropped = (*found.dropped, *dropped)
         return found
 
     def _shows(self, base: Scored) -> bool:
