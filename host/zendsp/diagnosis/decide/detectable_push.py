@@ -19,10 +19,10 @@ from zendsp.physics.model import Model
 
 A_PUSH = "disturbance"  # the mechanism, and its name
 LASTS = 1.0  # s, the push of which a size is stated
-# RMS of a push over that of the rest, with which all but BURST_SHARE of the energy is the push's
 # RMS torque that is found missing, of that of a push of one second in 6 or in 12, along which the
 # calibrated numbers follow it: 0.53 and 0.49
 STAYS_MISSING = 0.5
+# RMS of a push over that of the rest, with which all but BURST_SHARE of the energy is the push's
 OUT_OF = math.sqrt((1.0 - BURST_SHARE) / BURST_SHARE)
 
 
