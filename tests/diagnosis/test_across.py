@@ -70,21 +70,6 @@ def test_no_law_over_position_is_named_where_another_joint_lacks_a_similar_one()
     assert named(across.across_joints([replace(pulled, claims=()), near])) == [[], []]
 
 
-def test_no_body_is_claimed_that_explains_less_than_the_joints_lack_over_their_state() -> None:
-    left = [
-        replace(lacking(j, "coulomb", level=1.0), kind="unexplained", claims=()) for j in (1, 2)
-    ]
-    strong = [replace(d, state=Structure(0.3, 0.9, 5.0)) for d in left]
-    assert across.overshadowed(0.05, strong) and not across.overshadowed(0.5, strong)
-    assert not across.overshadowed(0.05, strong[:1]), "one joint may have its own"
-    weak = [replace(d, state=Structure(0.05, 0.9, 5.0)) for d in left]
-    assert not across.overshadowed(1e-4, weak), "a real arm leaves so much"
-    nameless = replace(lacking(1, "gravity").claims[0], effect="unknown", size=0.05)
-    hose = [replace(d, kind="missing", claims=(nameless,)) for d in left]
-    assert across.overshadowed(1e-3, hose), "a hose was a tilt of 0.007 rad, 96 %"
-    assert not across.overshadowed(5e-3, hose)
-
-
 @pytest.mark.parametrize(
     ("kind", "size", "stays"),
     [("unexplained", 0.3, False), ("unexplained", 0.01, True), ("missing", 0.3, True)],

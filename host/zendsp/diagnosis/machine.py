@@ -16,7 +16,6 @@ from zendsp.diagnosis.decide.across import (
     across_joints,
     friction_beside,
     may_be_strapped,
-    overshadowed,
     timing,
 )
 from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
@@ -210,8 +209,7 @@ def _settled_once(
     finished = _finished(found, given, jobs, tell)
     test, whole = finished.parts.test, finished.whole
     least = (1.0 + ROUNDING) * model_error(test, whole.calibrated)
-    shadow = overshadowed(sum(c.square for c in finished.claims), finished.decisions)
-    if finished.claims and (shadow or model_error(test, whole.improved) > least):
+    if finished.claims and model_error(test, whole.improved) > least:
         none = replace(bodies, model=given, found=())
         found = _beneath(none, measured_motion, parts, given, jobs, tell)
         finished = _finished(found, given, jobs, tell)

@@ -17,7 +17,6 @@ from zendsp.diagnosis.decide.pieces import piece_of
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
-    AMISS,
     OF_STATE,
     PREDICTED,
     SURE,
@@ -135,31 +134,6 @@ def _over_place(d: Decision) -> Claim:
     laws = {"unknown": 1.0}
     none = Claim("unknown", PLACE, term, d.state.size, seen, 0.0, laws, (), (), (), d.state)
     return next(own, none)
-
-
-def overshadowed(square: float, decisions: Sequence[Decision]) -> bool:
-    """Whether two or more joints lack a torque over their state or position that no law explains,
-    and more of it than the bodies explain at all joints. What pulls at the joints may then have
-    been taken for a small body. (A hose over three joints was a tilt of 0.007 rad, 96 %.)
-
-    Parameters
-    ----------
-    square : float
-        Sum of the squares of what the bodies explain, as parts of the joints' RMS torques.
-    decisions : sequence of Decision
-        Beside the bodies, one a joint.
-    """
-    left = [size for d in decisions if (size := _without_law(d)) > 0.0]
-    return len(left) > 1 and square < A_PART * sum(size**2 for size in left)
-
-
-def _without_law(d: Decision) -> float:
-    """The torque over its state or position that a joint lacks and no law explains. Without a claim
-    only much counts, since a body has not to explain all that friction leaves.
-    """
-    own = [c.size for c in d.claims if c.effect == "unknown" and c.mechanism == PLACE]
-    unclaimed = _lacks_of_state(d) and d.state.size > AMISS
-    return max([*own, d.state.size if unclaimed else 0.0])
 
 
 def _of_state(decisions: Sequence[Decision]) -> float:
