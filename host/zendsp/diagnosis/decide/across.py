@@ -95,9 +95,12 @@ def may_be_strapped(decisions: Sequence[Decision]) -> bool:
 
 def _as_one(decisions: Sequence[Decision], strap: Strap) -> list[Decision]:
     """The decisions, with the torque over position that the joints of a strap lack claimed once.
+    What pushes them, or the next joint, which its potential may lack, is the strap.
     """
-    pushed = {d.joint for d in decisions if d.kind == Verdict.DISTURBANCE} & {*strap.joints}
-    decisions = [unpushed(d) if d.joint in pushed else d for d in decisions]
+    reach = {joint + by for joint in strap.joints for by in (-1, 0, 1)}
+    decisions = [
+        unpushed(d) if d.kind == Verdict.DISTURBANCE and d.joint in reach else d for d in decisions
+    ]
     open_ones = [d for d in decisions if d.kind in (Verdict.MISSING, Verdict.UNEXPLAINED)]
     of_it = {d.joint: _over_place(d) for d in open_ones if d.joint in strap.joints}
     most = max(of_it, key=lambda j: of_it[j].size * decisions[j - 1].scale, default=0)
