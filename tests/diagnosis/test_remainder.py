@@ -150,7 +150,7 @@ def test_torque_over_the_places_of_several_joints_is_not_put_down_to_its_own_alo
     monkeypatch.setattr(naming, "_replaced", lambda *_: ())
     term, evidence = Term("unknown", 3, {}), Evidence(9, 9, np.ones(2))
     claim = Claim("unknown", "position_torque", term, 0.3, evidence, 9, {}, (), (), ())
-    decision: Any = SimpleNamespace(joint=3, scale=1.0)
+    decision: Any = SimpleNamespace(joint=3, scale=1.0, strap=())
     assert said in naming._unknown(given, decision, claim, 0.5, [rows]).sentence
 
 

@@ -140,7 +140,7 @@ def test_a_body_is_looked_for_once_more_without_a_friction_that_grows_with_the_l
 
     def searched(*given: Any) -> Any:
         asked.append(given[3].by_load)
-        return SimpleNamespace(found=() if given[3].by_load else ("payload",))
+        return SimpleNamespace(found=() if given[3].by_load else ("payload",), strap=None)
 
     monkeypatch.setattr(bodies, "_by_any_observer", searched)
     monkeypatch.setattr(bodies, "Layout", lambda *_: None)
