@@ -350,7 +350,7 @@ def test_units_that_an_fmu_states_are_converted(shop: Path, tmp_path: Path) -> N
     ("bad", "words"),
     [
         (1, "ended its process by SIGABRT"),
-        (2, "did not answer within"),
+        (2, "did not answer within 0.3 s"),
         (3, "doStep answered"),
         (5, "positions that are no finite numbers"),
     ],

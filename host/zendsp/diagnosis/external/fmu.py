@@ -31,6 +31,7 @@ from zendsp.recording.units import to_si
 
 Array = npt.NDArray[np.float64]
 
+DONE_ONE = ""  # what a worker says after each simulation, before its answer
 TIME_LIMIT = 60.0  # s, for one recording or window; [mechanism] time_limit
 REAL = ("Real", "Float64")
 LOG = "said.txt"  # output of an FMU
@@ -165,7 +166,7 @@ class Fmu:
         busy = [(w, share) for w, share in zip(self.workers, shares, strict=True) if len(share)]
         for worker, share in busy:
             worker.send([recordings[i] for i in share], parameters)
-        return [out for worker, share in busy for out in worker.receive(len(share))]
+        return [out for worker, _ in busy for out in worker.receive()]
 
     def close(self) -> None:
         """End the processes and remove their folders."""
@@ -192,19 +193,19 @@ class _Worker:
         except OSError:
             raise self._crash() from None
 
-    def receive(self, count: int) -> list[Array]:
-        limit = self.fmu.limit * count
-        if not self.pipe.poll(limit):
-            self.process.kill()
-            raise ModelError(
-                f"{self.fmu.name}: the FMU did not answer within {limit:g} s ({count} simulations"
-                f" of at most {self.fmu.limit:g} s each); raise [mechanism] time_limit, or shorten"
-                " the recording"
-            )
-        try:
-            answer = self.pipe.recv()
-        except (EOFError, OSError):
-            raise self._crash() from None
+    def receive(self) -> list[Array]:
+        answer = DONE_ONE
+        while answer == DONE_ONE:
+            if not self.pipe.poll(self.fmu.limit):
+                self.process.kill()
+                raise ModelError(
+                    f"{self.fmu.name}: the FMU did not answer within {self.fmu.limit:g} s; raise"
+                    " [mechanism] time_limit, or shorten the recording"
+                )
+            try:
+                answer = self.pipe.recv()
+            except (EOFError, OSError):
+                raise self._crash() from None
         if isinstance(answer, str):
             raise ModelError(f"{self.fmu.name}: the FMU failed: {answer}{self._said()}")
         return list(answer)
@@ -248,7 +249,10 @@ def _serve(pipe: Any, other: Any, fmu: Fmu, folder: str) -> None:
             os._exit(0)  # skips exit handlers of the FMU
         try:
             instance = instance or _Instance(fmu, folder)
-            answer: Any = [instance.simulate(r, parameters) for r in recordings]
+            answer: Any = []
+            for recording in recordings:
+                answer.append(instance.simulate(recording, parameters))
+                pipe.send(DONE_ONE)
         except Exception as error:
             answer, instance = " ".join(f"{type(error).__name__}: {error}".split()), None
         pipe.send(answer)
