@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +15,7 @@ from zendsp.diagnosis import Diagnosis, engine
 from zendsp.diagnosis.decide import detectable as sizes
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.report.html import _could_not
+from zendsp.diagnosis.report.summary import hidden as hidden_words
 from zendsp.diagnosis.report.summary import summary
 from zendsp.diagnosis.search.screen import FIRST_ORDER
 from zendsp.physics.calibration.handles import get_values
@@ -139,6 +141,8 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
     assert "torque_gain" in hidden, "inertia and friction, calibrated, imitate it"
     assert "delay" in shown, "a shift of the command column, refined, had imitated it"
     assert "would not be seen here even if large: " in summary(d)
+    curve = replace(d.undetectable[0], effect="stribeck", at={"velocity": 0.05})
+    assert hidden_words([curve], d.given) == "stribeck (joint 1 at velocity 0.05 rad/s)"
     listed = _could_not(d).partition("no size is asked: ")[2].partition(".</p>")[0].split(", ")
     assert {"elasticity", "backlash", "hysteresis"} <= set(listed)
     assert not {"ripple", "coulomb_tanh", "payload"} & set(listed)

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from zendsp.diagnosis.decide.contract import Verdict, spans
 from zendsp.diagnosis.decide.headline import SMALLEST_SHARE, percent
-from zendsp.physics.effects import get_effect, library
+from zendsp.physics.effects import get_effect, library, unit_of
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis
+    from zendsp.physics.model import Model
 
 REFINEMENTS = 6  # that a summary names
 MISSED = 3  # undetectable effects that a summary names
@@ -62,7 +63,7 @@ def summary(d: Diagnosis) -> str:
     if d.detectable:
         lines.append(f"what may have been missed: {_missed(d.detectable)}")
     if d.undetectable:
-        lines.append(f"would not be seen here even if large: {hidden(d.undetectable)}")
+        lines.append(f"would not be seen here even if large: {hidden(d.undetectable, d.given)}")
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:
@@ -83,7 +84,7 @@ def _missed(detectable: Sequence[Detectable]) -> str:
     return named + (f", and {counted(more, 'smaller one')}" if more else "")
 
 
-def hidden(undetectable: Sequence[Detectable]) -> str:
+def hidden(undetectable: Sequence[Detectable], given: Model) -> str:
     """The effects that these recordings would not show, each with its joints; where that depends on
     the shape of a law, with the one that shows least.
     """
@@ -91,7 +92,8 @@ def hidden(undetectable: Sequence[Detectable]) -> str:
     for x in undetectable:
         joints.setdefault(x.effect, []).append(x)
     return ", ".join(
-        f"{effect} (joint{'s' if len(each) > 1 else ''} {', '.join(map(_joint_of, each))})"
+        f"{effect} (joint{'s' if len(each) > 1 else ''}"
+        f" {', '.join(_joint_of(x, given.joint_kind(x.joint)) for x in each)})"
         for effect, each in joints.items()
     )
 
@@ -102,8 +104,12 @@ def unasked() -> list[str]:
     return [e.name for e in sought if not e.sized]
 
 
-def _joint_of(x: Detectable) -> str:
-    at = " and ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in x.at.items())
+def _joint_of(x: Detectable, kind: str) -> str:
+    words = []
+    for name, value in x.at.items():
+        unit = unit_of(get_effect(x.effect).parameter(name).size, kind)
+        words.append(f"{name.replace('_', ' ')} {value:.2g} {unit}".rstrip())
+    at = " and ".join(words)
     return f"{x.joint} at {at}" if at else str(x.joint)
 
 
