@@ -138,7 +138,8 @@ def _could_not(d: Diagnosis) -> str:
         )
         rows.append(f"<li>joint {joint}: {sizes}")
     if d.undetectable:
-        rows.append(f"<li>would not be seen here even if large: {escape(hidden(d.undetectable, d.given))}")
+        unseen = escape(hidden(d.undetectable, d.given))
+        rows.append(f"<li>would not be seen here even if large: {unseen}")
     return (
         "<p><b>What may have been missed:</b> what is smaller than this. Of what is as large, nine"
         " of ten would have been found; of what is half or a third of it, many are, too. Of the"
