@@ -12,6 +12,7 @@ from small_arms import Arm, prepared, recorded, searched
 from test_across import lacking, named
 
 from zendsp.diagnosis.decide.across import across_joints, may_be_strapped
+from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search import bodies
@@ -100,3 +101,11 @@ def test_what_pulls_by_times_at_two_joints_is_no_push() -> None:
     *found, last = across_joints([pushed, nobody[1], beside], Strap((1, 2), 8.0))
     assert last.kind == "unexplained" and not last.strap
     assert named(found) == [[("unknown", "position_torque", ())], []]
+
+
+def test_what_pulls_between_links_is_to_be_taken_off_next() -> None:
+    pulled = [lacking(j, "stiffness", coefficient=2.0) for j in (1, 2)]
+    decisions = across_joints(pulled, Strap((1, 2), 8.0))
+    said = propose([None], None, [], [], decisions, 0)  # type: ignore[list-item,arg-type]
+    assert said is not None and said.reference is None
+    assert "between the links at joints 1 and 2 (a hose" in said.sentence

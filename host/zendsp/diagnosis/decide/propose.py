@@ -170,6 +170,12 @@ def _without_rival(
     decisions: Sequence[Decision],
     seed: int,
 ) -> Next | None:
+    strap = next((d.strap for d in decisions if d.strap), ())
+    if strap:
+        return Next(
+            f"Take off what is stretched between the links at {listed(strap)} (a hose, cables, a"
+            " strap) and record the same motion again: the torque goes with it."
+        )
     again = [d.joint for d in decisions if d.kind == Verdict.UNEXPLAINED]
     unseen = dark(
         (d.joint, (d.after.low, d.after.high)) for d in decisions if d.kind == Verdict.COMPLETE
