@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import logging
+import threading
+import time
 from typing import Any
 
 from zendsp.errors import LinkError
 from zendsp.extras import need
 
+log = logging.getLogger(__name__)
+LOOK_S = 10.0  # interval of checks on the workers
+
 
 def connect(address: str) -> Any:
-    """A client of the Dask scheduler at `address`, which has workers.
+    """A client of the Dask scheduler at `address`, which has workers. When the last of them goes,
+    the log says so: the tasks then wait for others.
 
     Parameters
     ----------
@@ -42,4 +49,20 @@ def connect(address: str) -> Any:
             f"the Dask scheduler at {address!r} has no workers; start some with `dask worker"
             f" {address}`"
         )
+    threading.Thread(target=_look_on, args=(client, address), daemon=True).start()
     return client
+
+
+def _look_on(client: Any, address: str) -> None:
+    had = True
+    while client.status == "running":
+        has = bool(client.scheduler_info()["workers"])
+        if had and not has:
+            log.warning(
+                "the Dask scheduler at %r has lost its last worker: nothing is computed until"
+                " another one comes, `dask worker %s`; Ctrl-C ends",
+                address,
+                address,
+            )
+        had = has
+        time.sleep(LOOK_S)
