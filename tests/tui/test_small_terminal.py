@@ -37,11 +37,13 @@ async def test_on_a_small_terminal_the_help_keeps_its_columns(app: ZendspApp) ->
 
 
 @pytest.mark.parametrize("agree", ["", "OK"])
-async def test_keys_scroll_a_text_that_is_longer_than_its_box(app: ZendspApp, agree: str) -> None:
+async def test_keys_scroll_a_text_that_is_longer_than_its_box(
+    app: ZendspApp, until: Until, agree: str
+) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
         await app.push_screen(Message("Keys", "\n".join(map(str, range(99))), agree))
-        await pilot.pause()
         text = app.screen.query_one(VerticalScroll)
+        await until(pilot, lambda: 0 < text.size.height < 24, "the box fits the terminal")
         at = [text.scroll_target_y]
         for key in ("pagedown", "down", "end"):
             await pilot.press(key)
