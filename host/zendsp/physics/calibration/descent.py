@@ -99,11 +99,6 @@ class Descent:
         columns = [place[:, : len(group)] for group, place in zip(groups, out, strict=True)]
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
 
-    def remember(self, model: Model, residual: Array) -> None:
-        """Keep the final predictions of a fit for later use."""
-        for work, rows in zip(self.works, self.rows, strict=True):
-            work.remember(model, residual[rows])
-
     def _place(self, group: int, points: int) -> Array:
         """The buffer for the residuals of a group of points, a row each."""
         rows = self.rows[-1].stop + len(self.held)

@@ -295,7 +295,6 @@ def fit(
     found = Fit(
         set_values(model, handles, x), handles, x, covariance, float(r @ r), at_bound, jac, r,
     )
-    problem.remember(found.model, r)
     known[key] = found, data.records  # kept alive, so that no other record gets its id
     while len(known) > REMEMBERED:
         known.pop(list(known)[0], None)  # noqa: RUF015  in one step: other threads add to it

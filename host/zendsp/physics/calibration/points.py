@@ -19,9 +19,6 @@ from zendsp.physics.calibration.predict import (
     fill_rigid,
     fill_shift,
     pack,
-    ran_away,
-    remember,
-    steps,
 )
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.native import LANES, native
@@ -118,15 +115,6 @@ class Points:
         else:
             self._run([points[place.index(i)] for i in range(len(places))], out)
             out[:, : len(points)] = out[:, place]
-
-    def remember(self, model: Model, innovations: Array) -> None:
-        """Keep the innovations of a model that differs in these numbers only, (n,), where ``run``
-        would take the same steps.
-        """
-        inertia, _ = self.record.inertia_and_bias(model)
-        taken = int(self._base.sub), bool(self._base.stiff)
-        if not ran_away(innovations) and taken == steps(self.record, model, inertia, self.inner):
-            remember(self.record, model, self.bandwidth, self.inner, innovations)
 
     def _run(self, points: Sequence[Array], out: Array) -> None:
         lib, count = native(), len(points)

@@ -130,18 +130,6 @@ def run(
     return done
 
 
-def remember(
-    record: JointRecord, model: Model, bandwidth: float, inner: int, innovations: Array
-) -> None:
-    """Store a fit's predictions for ``run``: the weighted innovations of a model (n,), which must
-    not be changed.
-    """
-    packed = pack(model.at(record.joint))
-    innovations.setflags(write=False)
-    key = _key(record, model, packed, bandwidth, inner, 0)
-    _keep(record, key, Run(innovations, None, None, None, 0))
-
-
 def _keep(record: JointRecord, key: tuple[object, ...], done: Run) -> None:
     record.runs[key] = done, record  # kept alive, so that no other record gets its id
     while len(record.runs) > REMEMBERED:
