@@ -83,7 +83,7 @@ def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Re
                 basis=bases(model, list(others))[j],
                 links=None if record.links is None else replace(record.links, motion=others),
                 _thinned=None,
-                _slope=None,
+                _once={},
             )
             if not set(joints) <= {j + 1}
             else record

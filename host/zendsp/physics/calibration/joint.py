@@ -49,11 +49,12 @@ class JointRecord:
     between: float = 0.0  # N m or N, RMS: torque of commands between rows
     every: int = 1  # samples of the recording in one of these, see ``thinned``
     first: int = 0  # sample of the recording with which it begins, see ``liveliest``
+    # What the kernel points to. Threads may make it at the same time: the first one stays, since
+    # the kernel of another thread may read it already
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
-    _integral: Array | None = None
+    _once: dict[str, Array] = field(default_factory=dict)
     _facts: Facts | None = None
     _thinned: JointRecord | None = None
-    _slope: Array | None = None
     # latest fits to it by their inputs, see ``fit``
     fits: dict[Any, Any] = field(default_factory=dict)
     # latest predictions of it by their inputs, see ``run``
@@ -88,11 +89,10 @@ class JointRecord:
     @property
     def integral(self) -> Array:
         """Integral of the held command, (n + 1,)."""
-        if self._integral is None:
-            self._integral = np.ascontiguousarray(
-                np.r_[0.0, np.cumsum(self.command)] * self.sample_time
-            )
-        return self._integral
+        made = self._once.get("integral")
+        if made is None:
+            made = np.ascontiguousarray(np.r_[0.0, np.cumsum(self.command)] * self.sample_time)
+        return self._once.setdefault("integral", made)
 
     @cached_property
     def informative(self) -> int:
@@ -112,7 +112,8 @@ class JointRecord:
         of white process noise.
         """
         key = round(bandwidth, 6)
-        if key not in self._gains:
+        made = self._gains.get(key)
+        if made is None:
             lib, n = native(), self.n
             white = self.measurement.resolution**2 / 12 + self.measurement.noise**2
             white /= self.every
@@ -129,8 +130,8 @@ class JointRecord:
                 p(k2),
                 p(w),
             )
-            self._gains[key] = (k1, k2, w)
-        return self._gains[key]
+            made = (k1, k2, w)
+        return self._gains.setdefault(key, made)
 
     def log_weights(self, bandwidth: float) -> float:
         """Sum of log S over the samples that count."""
@@ -161,12 +162,13 @@ class JointRecord:
         """
         if every < 2:
             return self
-        if self._thinned is None or self._thinned.every != every:
+        found = self._thinned  # another thread may put another one in its place
+        if found is None or found.every != every:
             facts(self)  # those of the whole recording hold
             some = slice(0, self.n // every * every, every)
             states = means(self.motion.states, every)
             states[:, 0] = self.motion.states[:, 0]  # start of a prediction
-            self._thinned = replace(
+            self._thinned = found = replace(
                 self,
                 sample_time=every * self.sample_time,
                 command=means(self.command, every),
@@ -186,7 +188,7 @@ class JointRecord:
                 every=every,
                 **_nothing_known(),
             )
-        return self._thinned
+        return found
 
     def liveliest(self, seconds: float) -> JointRecord:
         """The part of the record, of this length, in which the joint is accelerated most, for a
@@ -195,7 +197,8 @@ class JointRecord:
         count = round(seconds / self.sample_time)
         if count >= self.n or self.every > 1:
             return self
-        if self._liveliest is None or self._liveliest.n != count:
+        found = self._liveliest
+        if found is None or found.n != count:
             facts(self)  # those of the whole recording hold
             energy = np.r_[0.0, np.cumsum(self.motion.states[2] ** 2)]
             begin = int(np.argmax(energy[count:] - energy[:-count]))
@@ -204,7 +207,7 @@ class JointRecord:
                 return np.ascontiguousarray(series[..., begin : begin + count])
 
             seen = self.measurement
-            self._liveliest = replace(
+            self._liveliest = found = replace(
                 self,
                 t0=self.t0 + begin * self.sample_time,
                 command=cut(self.command),
@@ -223,7 +226,7 @@ class JointRecord:
                 first=self.first + begin,
                 **_nothing_known(),
             )
-        return self._liveliest
+        return found
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle only what the rest can be computed from."""
@@ -273,15 +276,14 @@ class JointRecord:
         """Derivative of the known torque by the joint's own position, (n,) N m/rad or N/m, for a
         load whose position differs from its motor's.
         """
-        if self._slope is None:
-            own = self.basis["fixed"].slope if "fixed" in self.basis else None
-            if own is not None:
-                self._slope = own
-                return own
+        made = self._once.get("slope")
+        if made is None and "fixed" in self.basis:
+            made = self.basis["fixed"].slope
+        if made is None:
             values = {key: mechanism_value(model, key, self.joint) for key in self.basis}
             slope = bias_slope(model, list(self.others), self.joint, values)
-            self._slope = np.ascontiguousarray(slope)
-        return self._slope
+            made = np.ascontiguousarray(slope)
+        return self._once.setdefault("slope", made)
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:
         """Inertia that motor and load share, kg m^2 or kg: the part common to all poses, or the
@@ -302,8 +304,8 @@ class JointRecord:
 
 def _nothing_known() -> dict[str, Any]:
     """Empty caches, for another record or a part of one."""
-    once = dict.fromkeys(("_integral", "_thinned", "_slope"))
-    return {**once, **{key: {} for key in ("_gains", "fits", "runs", "traces")}}
+    empty: dict[str, Any] = {key: {} for key in ("_gains", "_once", "fits", "runs", "traces")}
+    return {"_thinned": None, **empty}
 
 
 def _sum(parts: list[Array], n: int) -> Array:

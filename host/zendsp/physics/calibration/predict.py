@@ -258,7 +258,7 @@ def fill(
         known[values] = record.inertia_and_bias(model)
     inertia, bias = known[values]
     if bandwidth not in record.filled:
-        record.filled[bandwidth] = _of_record(record, bandwidth)
+        record.filled[bandwidth] = _of_record(record, bandwidth)  # the same by any thread
     ffi.memmove(m, record.filled[bandwidth], ffi.sizeof("zk_model"))
     m.sub, m.stiff = steps(record, model, inertia, inner)
     m.delay = model.actuator.delay
