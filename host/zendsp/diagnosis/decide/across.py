@@ -109,14 +109,12 @@ def _as_one(decisions: Sequence[Decision], strap: Strap) -> list[Decision]:
     out = []
     for d in decisions:
         if d.joint in of_it:
-            others = tuple(c for c in d.claims if not (c.effect == "unknown" and _pulls(c)))
-            # its law stays in the improved model
-            laws = tuple(
-                replace(c, effect=c.term.effect)
-                for c in d.claims
-                if c not in others and c.term.effect != "unknown" and d.joint != most
-            )
+            own = tuple(c for c in d.claims if c.effect == "unknown" and _pulls(c))
+            others = tuple(c for c in d.claims if not any(c is o for o in own))
             claims = (of_it[d.joint], *others) if d.joint == most else others
+            # elsewhere its law stays in the improved model
+            drawn = [c for c in own if c.term.effect != "unknown" and d.joint != most]
+            laws = (replace(c, effect=c.term.effect) for c in drawn)
             d = replace(
                 d,
                 kind=Verdict.MISSING if claims else Verdict.UNEXPLAINED,
