@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 # degree of the polynomials: with the third a hose over joints that move by 120 degrees is predicted
 # half as well, with the fifth recordings of 14 s determine no numbers
 POLYNOMIAL = 4
-SPAN = 3  # neighbouring joints of one potential
+SPAN = 3  # neighbouring joints of one potential. Chosen: a strap over four is seen at three of them
 # parts of the blocks that are predicted by all the others, and blocks in a row of one part. So
 # judged, 11 hoses are 8 to 17 standard deviations better than the best body, and 9 bodies 4 to 13
 # better than the best hose

@@ -30,6 +30,7 @@ from zendsp.physics.files.draft_tables import (
     listed,
     put_actuator,
     put_columns,
+    put_effects,
     put_sensor,
 )
 from zendsp.physics.files.shipped import model_folder
@@ -276,14 +277,7 @@ def _mechanism(
         )
     page.line("[mechanism.parameters]")
     _numbers(page, position, command, step, linear)
-    page.line()
-    page.line(
-        comment="Physics that you know already; names and parameters as in docs/effects.md. What is"
-        " missing is for zendsp diagnose to find."
-    )
-    for text in ("[[effect]]", 'kind = "viscous"', "joint = 1"):
-        page.choice(text)
-    page.choice("coefficient = { value = 0.01 }", "N s/m" if linear else "N m s/rad")
+    put_effects(page, "N s/m" if linear else "N m s/rad")
 
 
 def _unit_asked(position: Group, degrees: str) -> str:

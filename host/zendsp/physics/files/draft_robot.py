@@ -12,7 +12,7 @@ from pathlib import Path
 
 from zendsp.errors import ModelError
 from zendsp.physics.files.draft_data import Group
-from zendsp.physics.files.draft_tables import Page
+from zendsp.physics.files.draft_tables import Page, put_effects
 from zendsp.tree import urdf_joints
 from zendsp_protocol.texts import counted
 
@@ -87,11 +87,4 @@ def put_robot(page: Page, robot: Path, folder: Path, position: Group, unit: str)
     which = named or joints[:count]
     if which != joints or ask:
         page.line(f"joints = {json.dumps(which, ensure_ascii=False)}", "in the file's order", ask)
-    page.line()
-    page.line(
-        comment="A URDF states no friction and no rotors. What is missing is for zendsp diagnose to"
-        " find; what you know, write here (docs/effects.md)."
-    )
-    for text in ("[[effect]]", 'kind = "viscous"', "joint = 1"):
-        page.choice(text)
-    page.choice("coefficient = { value = 0.01 }", "N m s/rad, N s/m where the joint slides")
+    put_effects(page, "N m s/rad, N s/m where the joint slides")

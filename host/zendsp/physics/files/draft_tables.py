@@ -61,6 +61,18 @@ class Page:
         self.line(f"#{text}", comment, ask)
 
 
+def put_effects(page: Page, unit: str) -> None:
+    """Write how a known effect is stated; ``unit`` is that of a viscous friction."""
+    page.line()
+    page.line(
+        comment="Physics that you know already; names and parameters as in docs/effects.md. What is"
+        " missing is for zendsp diagnose to find."
+    )
+    for text in ("[[effect]]", 'kind = "viscous"', "joint = 1"):
+        page.choice(text)
+    page.choice("coefficient = { value = 0.01 }", unit)
+
+
 def put_actuator(page: Page, command: Group | None, step: float, machine: Machine | None) -> None:
     """Write ``[actuator]``; ``step`` is the sample time, s."""
     page.line()
