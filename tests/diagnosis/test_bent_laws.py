@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from zendsp.diagnosis.decide import laws, patchwork
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.near import ANOTHER
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
+from zendsp.diagnosis.measure import neighbours
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
@@ -32,6 +34,28 @@ def test_a_law_whose_exponent_surely_is_another_is_not_the_law(power: float, ref
     fitted = fit_scored(data, base, joint_handles(data, base, 1), (1,))
     ahead = against_neighbours(data, fitted, fitted.model.at(1)[-1], 1, LAW_ERROR)
     assert ahead == -math.inf if refuted else ahead > 0.0
+
+
+@pytest.mark.parametrize(
+    ("parts", "asked"), [((0.5, 0.3, 0.09, 0.05), 2), ((0.5, 0.05, 0.05, 0.05), 0)]
+)
+def test_only_observers_that_see_a_law_tell_its_shape(
+    parts: tuple[float, ...], asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A Stribeck curve, found to five digits, was "bent" for observers that saw a twentieth of it
+    away from reversals, and became a fluid friction without a law.
+    """
+    base = model_of(VISCOUS, COULOMB)
+    data = data_of(reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE), base)
+    fitted = fit_scored(data, base, joint_handles(data, base, 1), (1,))
+    each = iter(SimpleNamespace(energy=part, whole=1.0) for part in parts)
+    told: list[float] = []
+    monkeypatch.setattr(neighbours, "_seen", lambda *_: next(each))
+    monkeypatch.setattr(neighbours, "_surely", lambda _law, few, *_: told.extend(few) or False)
+    monkeypatch.setattr(neighbours, "_ahead", lambda _law, seen, _error: seen.energy)
+    ahead = against_neighbours(data, fitted, fitted.model.at(1)[0], 1, LAW_ERROR)
+    assert ahead == (0.5 if asked else math.inf)
+    assert {seen.energy for seen in told} == set(parts[:asked])
 
 
 def _law(effect: str, neutral: float = 0.0) -> Claim:
