@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from small_arms import Arm, prepared, recorded, searched
 
+from zendsp.diagnosis import machine
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.result import Detectable
@@ -149,3 +150,24 @@ def test_a_body_is_looked_for_once_more_without_a_friction_that_grows_with_the_l
     model: Any = None
     found = bodies.find_bodies(data, data, model, 1, lambda _: None)
     assert found.found == ("payload",) and asked == [True, False]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_joints_are_searched_without_a_body_once(
+    known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no proposed body is claimed; a third search of six joints took 12 s."""
+    joints_alone: Any = ([], [], "alone")
+    asked: list[str] = []
+    monkeypatch.setattr(machine, "upon", lambda given, _: SimpleNamespace(terms=(), with_terms=id))
+    monkeypatch.setattr(machine, "with_bodies", lambda bare, _: bare)
+    monkeypatch.setattr(machine, "explain", lambda *_: asked.append("") or joints_alone)
+    monkeypatch.setattr(machine, "_one_body", lambda found, *_: found)
+    nothing: Any = None
+    bodies: Any = SimpleNamespace(found=[1])
+    found = machine.Found(
+        nothing, nothing, nothing, bodies, [], [], [], nothing, (),
+        without=joints_alone if known else None,
+    )  # fmt: skip
+    assert machine._claimed_of(found, nothing, 1, print).whole == "alone"
+    assert len(asked) == (not known)

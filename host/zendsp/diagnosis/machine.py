@@ -82,7 +82,8 @@ class Found:
     """The findings of a machine before they are put into words: bodies, transmissions, joints.
 
     ``bare``: the recordings without inertias from inverse dynamics. ``beneath``: the given model
-    with the bodies and transmissions with which the joints were searched.
+    with the bodies and transmissions with which the joints were searched. ``without``: where it is
+    known, the explanation of the joints without a body.
     """
 
     parts: Parts
@@ -96,6 +97,7 @@ class Found:
     claims: tuple[BodyClaim, ...]
     fine: tuple[Finding, ...] = ()  # fast ripples
     load: Finding | None = None  # of the held-out recordings only
+    without: Explained | None = None
 
     @property
     def explained(self) -> Explained:
@@ -193,18 +195,20 @@ def _settled_once(
 ) -> Found:
     """The findings, with bodies that they hide or that replace them, all estimated together."""
     bodies = found.bodies
+    same = not found.measured and found.bare.fit.records is parts.fit.records
+    without = found.explained if same and not bodies.found else None
     # a delay or friction hides a body
     beside = timing(found.decisions) or friction_beside(found.decisions)
     if beside and not found.claims:
         bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, BESIDE, beside)
         if bodies.found:
-            again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
+            again = _beneath(bodies, measured_motion, parts, given, jobs, tell, without)
             found = again if again.claims else found
         elif bodies.strap is not None:
             found = replace(found, bodies=replace(found.bodies, strap=bodies.strap))
     own = _for_the_joints(bodies, found)
     if own is not None:
-        again = _beneath(bodies.taken(own), measured_motion, parts, given, jobs, tell)
+        again = _beneath(bodies.taken(own), measured_motion, parts, given, jobs, tell, without)
         found = again if again.claims else found
     finished = _finished(found, given, jobs, tell)
     test, whole = finished.parts.test, finished.whole
@@ -245,8 +249,10 @@ def _beneath(
     given: Model,
     jobs: int,
     tell: Progress,
+    without: Explained | None = None,
 ) -> Found:
     """The findings with some bodies, or with those of them that can be claimed."""
+    records = parts.fit.records
     measured = measured_transmissions(parts, bodies.model, jobs)
     measured_motion, bare = with_ties(measured_motion, measured), with_ties(parts, measured)
     beneath = upon(bodies.model, measured)
@@ -254,7 +260,10 @@ def _beneath(
 
     def known_by(explained: Explained) -> Found:
         claims = decide_bodies(parts, bodies, explained[1], jobs)
-        return Found(parts, bare, beneath, bodies, measured, *explained, claims)
+        known = without if not measured and bare.fit.records is records else None
+        return Found(
+            parts, bare, beneath, bodies, measured, *explained, claims, without=known
+        )
 
     def known_of(done: Done) -> Found:
         rest = (j for j in range(1, given.joints + 1) if j not in done)
@@ -283,7 +292,8 @@ def _claimed_of(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
         with_all = found.explained
         beneath = plain.with_terms((*plain.terms, *(c.found.term for c in claims)))
         parts = with_bodies(bare, beneath)
-        explained = explain(parts, given, beneath, jobs, tell)
+        explained = found.without if not claims else None
+        explained = explained or explain(parts, given, beneath, jobs, tell)
         found = replace(found, parts=parts, beneath=beneath).explained_by(explained)
         return found if claims else _one_body(found, with_all, given, jobs, tell)
     if any(_is_corrected(claims, d) for d in found.decisions):
