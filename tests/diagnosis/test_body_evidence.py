@@ -17,7 +17,7 @@ from zendsp.diagnosis.search.bodies import FoundBody, own_mass
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
 from zendsp.diagnosis.search.body_hypotheses import COST, LIMITS, Hypothesis
-from zendsp.diagnosis.search.body_numbers import unsure
+from zendsp.diagnosis.search.body_numbers import unsure, weightless
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.model import Term
 
@@ -172,6 +172,7 @@ def test_a_body_with_no_number_surely_different_from_zero_is_not_claimed(
         hypothesis=SimpleNamespace(free=("mass", "com_x")),
     )  # fmt: skip
     assert unsure(explained) is nothing
+    assert weightless(explained)
 
 
 @pytest.mark.parametrize(("at", "carried"), [(1.1, True), (1.6, False)])

@@ -28,7 +28,13 @@ from zendsp.diagnosis.search.body_hypotheses import (
     BodyLimits,
     hypotheses,
 )
-from zendsp.diagnosis.search.body_numbers import refined, stated, unsure, weight_of
+from zendsp.diagnosis.search.body_numbers import (
+    refined,
+    stated,
+    unsure,
+    weight_of,
+    weightless,
+)
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.diagnosis.search.joint_zeros import check_zero
 from zendsp.diagnosis.search.straps import Strap, strap_in_place_of
@@ -222,7 +228,9 @@ def _searched(
                 break
         if not found and own is not None:
             own = refined(fit, choose, layout, own_mass(own, first, links, limits), limits, jobs)
-            instead = _stated(layout, own, first, limits, frozenset()), first[0].hypothesis.joint
+            if not weightless(own, limits):
+                body = _stated(layout, own, first, limits, frozenset())
+                instead = body, first[0].hypothesis.joint
         if not found and not proposed and _carried(best, limits):
             own = refined(fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs)
             small = None if unsure(own, limits) else _stated(layout, own, tried, limits, aside)

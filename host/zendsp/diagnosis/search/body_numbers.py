@@ -175,6 +175,14 @@ def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
     return bool(np.all(np.abs(explained.values) < least))
 
 
+def weightless(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
+    """Whether a body may as well have no mass. Its moment may be sure, and a law of the joint says
+    that in fewer numbers: a spring of a UR10 had been 50 ± 130 kg.
+    """
+    e = explained
+    return "mass" in e.hypothesis.free and bool(abs(e.values[0]) < limits.shown * e.std[0])
+
+
 def many(h: Hypothesis, limits: BodyLimits = LIMITS) -> Array:
     """Standard deviations from which on one number of a body shows that there is one, (p,)."""
     out = np.full(len(h.free), limits.shown)
