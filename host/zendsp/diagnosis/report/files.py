@@ -21,7 +21,6 @@ from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
 
-
 FILES = (  # of a report, beside its figures: they replace those of an earlier one
     "model.toml", "calibrated.toml", "model.mjcf", "compensation.c", "report.json", "report.html",
     "next_reference.mat",
