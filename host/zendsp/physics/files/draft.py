@@ -22,7 +22,7 @@ from zendsp.physics.files.draft_data import (
     unbroken,
     why_degrees,
 )
-from zendsp.physics.files.draft_robot import by_joints, joints_in, put_robot
+from zendsp.physics.files.draft_robot import by_joints, joints_in, of_arm, put_robot
 from zendsp.physics.files.draft_tables import (
     COUNTS_A_TURN,
     TURN,
@@ -84,6 +84,8 @@ def draft_model(
         The robot has fewer joints than the recording, or its file cannot be taken over.
     """
     groups = groups_of(table)
+    if robot is not None:
+        groups = of_arm(groups, robot)
     position = best_group(groups, Role.POSITION)
     bare = [name for name, values in table.columns.items() if not np.isfinite(values).any()]
     nothing = f"{', '.join(bare)} hold{'s' if len(bare) == 1 else ''} no finite number"
