@@ -130,7 +130,8 @@ def draft_model(
         shown = replace(position, values=turned * position.values[part])
         driven = command and replace(command, values=command.values[part])
         _mechanism(page, shown, driven, step, linear, known, unit)
-    put_actuator(page, command, step, known)
+    lever = command is not None and command.unit == "N" and position.unit == "rad"
+    put_actuator(page, command, step, known, lever and robot is None)
     put_sensor(page, position, linear, known)
     _feedback(page)
     put_columns(page, table, groups, clock, position, command, joints)
@@ -326,7 +327,7 @@ def _numbers(
     ]
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
     rough = ROUGH if all(ideas) else 1.0
-    torque = command is not None and command.is_torque
+    torque = command is not None and command.is_torque and (linear or command.unit != "N")
     many = len(ideas) > 1
     hidden = [str(j + 1) for j, idea in enumerate(ideas) if idea is None]
     of = f" of joint {', '.join(hidden)}" if many and len(hidden) < len(ideas) else ""
