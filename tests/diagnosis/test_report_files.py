@@ -14,6 +14,7 @@ TEXT = "# my model, and all that I know of the machine\n"
     ("out", "each", "lost"),
     [
         (".", False, True), ("report", False, False), (".", True, False), ("..", True, True),
+        ("report/..", False, True),
     ],
 )
 def test_a_report_never_replaces_what_it_is_made_from(
