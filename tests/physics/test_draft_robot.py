@@ -113,3 +113,5 @@ def test_the_command_line_takes_the_robot_beside_the_recording(
     done = CliRunner().invoke(command, ["new", str(run), "--robot", str(robot), "-o", str(out)])
     assert done.exit_code == 0, done.output
     assert load_model(out).robot.joints == ("elbow",)
+    checked = CliRunner().invoke(command, ["check", str(out)])
+    assert "  link that joint 1 moves: b\n" in checked.output, checked.output

@@ -239,7 +239,7 @@ def test_a_file_in_the_place_of_the_folder_is_named(
 ) -> None:
     (tmp_path / "run").touch()
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path / "run"))
-    with pytest.raises(Refused, match="cannot be made a folder .* set ZENDSP_RUNTIME_DIR"):
+    with pytest.raises(Refused, match=r"cannot be made a folder .* set ZENDSP_RUNTIME_DIR"):
         own_folder()
 
 
