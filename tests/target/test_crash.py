@@ -27,7 +27,7 @@ BEYOND = "volatile double *p = &x; for (volatile int i = 0; i < {}; i++) p[i] = 
 # more than any stack has, and never called: its first element lies in no page
 LARGE = "volatile double a[1 << 24]; a[0] = 1.0;"
 # past the top of the stack: an array that is written beyond, on a stack that is not used up
-UPWARDS = "volatile double a[4]; for (volatile int i = 0; i < 1 << 24; i++) (&a[0])[i] = 1.0;"
+UPWARDS = "volatile double a[4]; static volatile double *p; for (p = a;; p++) *p = 1.0;"
 
 TRIPPING = """
 #include "isr.h"
