@@ -112,7 +112,7 @@ def build_machine(machine: str) -> Path:
     Raises
     ------
     CompileFailed
-        No such machine, or it does not compile; or a model without MuJoCo.
+        No such machine, or it does not compile, or it is none; or a model without MuJoCo.
 
     Examples
     --------
@@ -126,9 +126,15 @@ def build_machine(machine: str) -> Path:
     include = [root / "include", root / "machines"]
     if path.parent.resolve() != (root / "machines").resolve():
         include.append(path.parent.resolve())
-    return _trusted(
+    built = _trusted(
         f"machine {path.name}", build("machine", {path.name: path.read_bytes()}, include)
     )
+    if b"\0zendsp_machine\0" not in built.read_bytes():  # as its table of names has it
+        raise CompileFailed(
+            f"{machine}: is no machine: it defines no 'zendsp_machine' (docs/machines.md). A"
+            " control program is loaded on a target that runs: zendsp run FILE"
+        )
+    return built
 
 
 def is_model(machine: str) -> bool:

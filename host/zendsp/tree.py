@@ -260,8 +260,16 @@ def read_urdf(path: str, moving: Sequence[str] = ()) -> tuple[list[Body], Array]
 
 
 def urdf_joints(path: str) -> list[str]:
-    """Names of the joints of a URDF that move by themselves, a parent before its children."""
+    """Names of the joints of a URDF that a recording may be of, a parent before its children: not
+    those that follow another (``<mimic>``), nor those that are followed.
+    """
     return _opened(path, None)[1]
+
+
+def urdf_coupled(path: str) -> list[str]:
+    """Names of the joints of a URDF that follow another (``<mimic>``) or are followed."""
+    urdf_joints(path)  # refuses what is no URDF
+    return sorted(_coupled(ET.parse(Path(path)).getroot().findall("joint")))
 
 
 def _opened(path: str, moving: tuple[str, ...] | None) -> tuple[list[Body], list[str]]:
@@ -338,9 +346,17 @@ def _read(
 
 
 def _movable(joints: Sequence[ET.Element]) -> list[str]:
-    """Names of the joints that move by themselves."""
-    alone = [j for j in joints if j.attrib["type"] != "fixed" and j.find("mimic") is None]
-    return [j.attrib["name"] for j in alone]
+    """Names of the joints that move by themselves, and that no other follows."""
+    coupled = _coupled(joints)
+    names = (j.attrib["name"] for j in joints if j.attrib["type"] != "fixed")
+    return [name for name in names if name not in coupled]
+
+
+def _coupled(joints: Sequence[ET.Element]) -> set[str]:
+    """Names of the joints that follow another, and of those that are followed."""
+    found = [(j, j.find("mimic")) for j in joints if j.attrib["type"] != "fixed"]
+    pairs = ((j.attrib["name"], m.attrib.get("joint", "")) for j, m in found if m is not None)
+    return {name for pair in pairs for name in pair}
 
 
 def _refuse_followers(joints: Sequence[ET.Element], path: str, moving: tuple[str, ...]) -> None:

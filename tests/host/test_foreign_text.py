@@ -198,3 +198,60 @@ def test_blanks_part_columns_where_nothing_else_does(tmp_path: Path, head: str) 
     path.write_text("t q i\n0 1 2\noverrun\n1 2 3\n")
     with pytest.raises(RecordingError, match=r"line 3 \('overrun'\) has 1 value"):
         read_table(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# t q u\n0.0 1.0 2.0\n0.1 1.5 2.5\n",  # np.savetxt(..., header="t q u")
+        "# by hand\n# t,q,u\n0.0,1.0,2.0\n0.1,1.5,2.5\n",
+        "% t q u\n  0.0 1.0 2.0\n  0.1 1.5 2.5\n",  # MATLAB
+        "%t,q,u\n0.0,1.0,2.0\n0.1,1.5,2.5\n",
+        "# a logger\n\nt,q,u\n0.0,1.0,2.0\n0.1,1.5,2.5\n",
+        "t,q,u\n0.0,1.0,2.0\n,,\n0.1,1.5,2.5\n,,\n\n",  # a spreadsheet
+    ],
+)
+def test_names_in_a_comment_and_empty_rows_are_understood(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text(text)
+    table = read_table(path)
+    assert {name: values.tolist() for name, values in table.columns.items()} == {
+        "t": [0.0, 0.1], "q": [1.0, 1.5], "u": [2.0, 2.5]
+    }  # fmt: skip
+
+
+def test_a_comment_of_numbers_or_words_names_no_columns(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    for comment in ("# 1,2,3", "# taken on a monday"):
+        path.write_text(f"{comment}\n0.0,1.0,2.0\n0.1,1.5,2.5\n")
+        with pytest.raises(RecordingError, match="expected the names of its 3 columns"):
+            read_table(path)
+
+
+@pytest.mark.parametrize(("left", "right"), [("(", ")"), ("[", "]")])
+def test_the_array_of_a_message_in_one_cell_is_a_column_of_each_joint(
+    tmp_path: Path, left: str, right: str
+) -> None:
+    path = tmp_path / "log.csv"
+    rows = "".join(
+        f"{0.1 * k},\"{left}'hip', 'knee'{right}\",\"{left}{k}.5, -{k}{right}\"\n" for k in range(3)
+    )
+    path.write_text(f"t,name,position\n{rows}")
+    table = read_table(path)
+    assert table["position"].tolist() == [[0.5, 0.0], [1.5, -1.0], [2.5, -2.0]]
+    assert table.notes == ("name: left out, it holds text",)
+    path.write_text(f"t,name,position\n{rows}0.3,x,\"{left}1.0{right}\"\n")
+    with pytest.raises(RecordingError, match="'position' holds text"):
+        read_table(path, ["position"])
+
+
+def test_the_time_of_rostopic_is_in_nanoseconds(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    body = "1700000000000000000,5000000,0.1\n1700000000002000000,7000000,0.2\n"
+    path.write_text(f"%time,field.header.stamp,field.position0\n{body}")
+    table = read_table(path)
+    for name in ("%time", "field.header.stamp"):
+        assert np.diff(table[name]) == pytest.approx(0.002, abs=3e-7)  # digits of 1.7e9 s
+        assert table.units[name] == "s"
+    path.write_text(f"%time,q,u\n{body}")  # of another program: nothing is known
+    assert read_table(path).units["time"] == ""

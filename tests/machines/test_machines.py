@@ -7,6 +7,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from plants import OFF, VELOCITY, Plant, follow
 
 from zendsp.reference import load_machine
 from zendsp_isr.build import build, source_root
-from zendsp_isr.parts import machine_names
+from zendsp_isr.parts import build_machine, machine_names
+from zendsp_protocol.errors import CompileFailed
 
 Array = np.ndarray  # type: ignore[type-arg]
 # a pose of the WAM in the middle of its range, rad
@@ -347,3 +349,13 @@ def test_limits_on_the_host_are_those_of_the_machine() -> None:
                 assert (
                     machine.limits.speed[j] <= joint.speed_max
                 ), "a planned speed may not trip the drives"
+
+
+@pytest.mark.parametrize("text", ["", '#include "isr.h"\nvoid UserInit(void) {}\n'])
+def test_c_code_that_is_no_machine_is_refused_before_a_target_listens(
+    text: str, tmp_path: Path
+) -> None:
+    source = tmp_path / "empty.c"
+    source.write_text(text)
+    with pytest.raises(CompileFailed, match=r"empty\.c: is no machine: it defines no 'zendsp_mach"):
+        build_machine(str(source))

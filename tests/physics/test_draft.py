@@ -381,3 +381,11 @@ def test_a_column_whose_name_ends_in_newton_metres_is_the_command_and_nothing_is
         "time": "t_ms", "position": "J1_deg", "command": "M1_Nm",
     }
     assert not any("M1_Nm" in question for question in draft.questions)
+
+
+@pytest.mark.parametrize(("unit", "asked"), [("rad", True), ("m", False)])
+def test_the_lever_of_a_force_that_turns_a_joint_is_asked(unit: str, asked: bool) -> None:
+    columns = {"t": T, "q": np.sin(T), "force": np.cos(T)}
+    drawn = draft_model(Table(columns, {"q": unit, "force": "N"}, {}, Path("run.csv")))
+    assert any("one N of force make: at which radius" in q for q in drawn.questions) == asked
+    assert not any("in N m (N)?" in q for q in drawn.questions)

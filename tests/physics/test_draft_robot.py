@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -65,19 +66,40 @@ def test_joints_that_the_columns_name_are_taken_in_the_robots_order(robot: Path)
 
 
 def test_what_columns_without_names_of_joints_are_is_asked(robot: Path) -> None:
-    columns = {"t": T, **{f"q{k}": np.sin(k * T) for k in (1, 2, 3)}}
+    columns = {"t": T, **{f"q{k}": np.sin(k * T) for k in (1, 2)}}
     drawn = draft_model(Table(columns, {}, {}, Path("run.csv")), robot=robot)
-    assert any("which 3 of shoulder, elbow, wrist, finger were" in q for q in drawn.questions)
+    assert any("which 2 of shoulder, elbow, wrist were" in q for q in drawn.questions)
     assert any("no unit: is it rad" in q for q in drawn.questions)
-    assert tomllib.loads(drawn.text)["mechanism"]["joints"] == ["shoulder", "elbow", "wrist"]
-    columns["q4"] = np.sin(4 * T)
+    assert tomllib.loads(drawn.text)["mechanism"]["joints"] == ["shoulder", "elbow"]
+    columns["q3"] = np.sin(3 * T)
     drawn = draft_model(Table(columns, {}, {}, Path("run.csv")), robot=robot)
-    assert any("q1, q2, q3, q4 stand in this order?" in q for q in drawn.questions)
+    assert any("q1, q2, q3 stand in this order?" in q for q in drawn.questions)
+
+
+@pytest.mark.parametrize("path", ["joint_states.{}.{}", "/joint_states/{}/{}"])
+def test_the_fingers_that_a_driver_publishes_too_are_not_taken(robot: Path, path: str) -> None:
+    """One follows the other: a model can only hold both. PlotJuggler writes names with slashes."""
+    columns = {"__time": T}
+    for k, joint in enumerate(("elbow", "finger", "other_finger", "shoulder", "wrist"), 1):
+        columns[path.format(joint, "position")] = np.sin(k * T)
+        columns[path.format(joint, "effort")] = np.cos(k * T)
+    drawn = draft_model(
+        Table(columns, {}, {}, Path("run.csv")), robot=robot, folder=robot.parent
+    )
+    order = ["shoulder", "elbow", "wrist"]
+    model = tomllib.loads(drawn.text)
+    assert model["columns"]["position"] == [path.format(j, "position") for j in order]
+    assert model["columns"]["command"] == [path.format(j, "effort") for j in order]
+    fingers = [f"{j}.{w}" for j in ("finger", "other_finger") for w in ("position", "effort")]
+    assert [".".join(re.split("[./]", name)[-2:]) for name in drawn.unused] == fingers
+    file = robot.parent / "arm.toml"
+    file.write_text(drawn.text)
+    assert load_model(file).robot.joints == tuple(order)
 
 
 def test_a_robot_of_fewer_joints_than_were_recorded_is_refused(robot: Path) -> None:
-    columns = {"t": T, **{f"q{k}": np.sin(k * T) for k in range(1, 6)}}
-    with pytest.raises(ModelError, match=r"has 4 joints .* the recording 5 positions"):
+    columns = {"t": T, **{f"q{k}": np.sin(k * T) for k in range(1, 5)}}
+    with pytest.raises(ModelError, match=r"has 3 joints .* the recording 4 positions"):
         draft_model(Table(columns, {}, {}, Path("run.csv")), robot=robot)
 
 
@@ -91,3 +113,5 @@ def test_the_command_line_takes_the_robot_beside_the_recording(
     done = CliRunner().invoke(command, ["new", str(run), "--robot", str(robot), "-o", str(out)])
     assert done.exit_code == 0, done.output
     assert load_model(out).robot.joints == ("elbow",)
+    checked = CliRunner().invoke(command, ["check", str(out)])
+    assert "  link that joint 1 moves: b\n" in checked.output, checked.output

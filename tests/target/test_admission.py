@@ -234,6 +234,15 @@ def test_a_folder_that_others_may_use_is_refused(
         own_folder()
 
 
+def test_a_file_in_the_place_of_the_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "run").touch()
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path / "run"))
+    with pytest.raises(Refused, match=r"cannot be made a folder .* set ZENDSP_RUNTIME_DIR"):
+        own_folder()
+
+
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can make a link of another user")
 def test_a_link_that_another_user_can_turn_leads_nowhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -24,6 +24,11 @@ from zendsp_target.runtime.process.runner import RunnerProcess
 # writes doubles from an array on
 BEYOND = "volatile double *p = &x; for (volatile int i = 0; i < {}; i++) p[i] = 1.0;"
 
+# more than any stack has, and never called: its first element lies in no page
+LARGE = "volatile double a[1 << 24]; a[0] = 1.0;"
+# past the top of the stack: an array that is written beyond, on a stack that is not used up
+UPWARDS = "volatile double a[4]; static volatile double *p; for (p = a;; p++) *p = 1.0;"
+
 TRIPPING = """
 #include "isr.h"
 #include <math.h>
@@ -44,11 +49,13 @@ Wait = Callable[..., None]
         ("*nowhere = 1;", "SIGSEGV in UserISR_INT2"),
         ("when = when / zero;", "SIGFPE in UserISR_INT2"),
         ("abort();", "SIGABRT in UserISR_INT2"),
-        ("deeper(NULL);", "SIGSEGV in UserISR_INT2"),
+        ("deeper(NULL);", "SIGSEGV in UserISR_INT2 at user.c:"),
+        (LARGE, "SIGSEGV in UserISR_INT2 at user.c:"),
         ("exit(3);", "status 3 in UserISR_INT2"),
         ("__builtin_trap();", "SIGILL in UserISR_INT2"),
         (BEYOND.format(100000000), "SIGSEGV in UserISR_INT2"),
         (BEYOND.format(600), "SIGSEGV in UserISR_INT2"),  # into the page behind
+        (UPWARDS, "SIGSEGV in UserISR_INT2"),
     ],
 )
 def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(
@@ -63,6 +70,7 @@ def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(
     status = runtime.status()
     assert status.state == "crashed"
     assert says in status.crash
+    assert ("stack is used up" in status.crash) == (how in ("deeper(NULL);", LARGE))
     assert ("by zero" in status.crash) == ("SIGFPE" in says or "SIGILL" in says)
     assert "last sample 49" in status.crash
     kept = runtime.acquire_status(0)
@@ -154,6 +162,7 @@ def test_a_sample_that_never_returns_is_ended_by_the_watchdog(
     ("how", "says"),
     [
         ("*nowhere = 1;", "SIGSEGV in UserBackground"),
+        (LARGE, "UserBackground at user.c:7 (the stack is used up: "),
         ("pthread_exit(NULL);", "SIGABRT in UserBackground (abort(), a failed assertion, or a"),
         ("pthread_cancel(pthread_self()); pthread_testcancel();", "SIGABRT in UserBackground"),
     ],

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import resource
+import signal
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -58,6 +60,31 @@ def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, most)
     assert "SIGSEGV" in runtime.status().crash
+    assert said.read_text() == "safe\n"
+
+
+def test_where_the_process_that_waits_to_make_the_machine_safe_is_ended_another_waits(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path
+) -> None:
+    """As by a system without memory, which ends whom it likes."""
+    runtime, said = crashing_on(HARDWARE, make_runtime, tmp_path)
+    wait_for(said.exists)
+    said.unlink()
+
+    def waiting() -> list[int]:
+        mine = subprocess.run(
+            ["pgrep", "-P", str(os.getpid()), "-f", "--", "-safe$"], capture_output=True, text=True,
+            check=False,
+        )
+        return [int(pid) for pid in mine.stdout.split()]
+
+    (first,) = waiting()
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: waiting() not in ([], [first]), waiting)
+    assert runtime.status().crash == "", "the program goes on"
+    assert not said.exists()
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
     assert said.read_text() == "safe\n"
 
 

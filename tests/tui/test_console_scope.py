@@ -16,6 +16,7 @@ from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Form
 from zendsp.tui.scope import Scale, Scope
 from zendsp.tui.screens.execute import ExecuteScreen
+from zendsp_isr.build import source_root
 
 
 @pytest.mark.covers(
@@ -190,3 +191,16 @@ async def test_curves_are_live_on_the_screen_that_is_shown(
         await until(pilot, lambda: lab.session.snapshot.state == "paused", "paused")
         await pilot.pause(0.3)
         assert not scope.old, "what is shown is where the machine is"
+
+
+async def test_a_curve_that_the_next_program_lacks_is_told(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await built(lab, pilot)
+        console = console_of(lab)
+        console.plot_names(["q1", "e1"])
+        source = (source_root() / "programs" / "pd.c").read_text()
+        target.download({"pd.c": source.replace("e1", "error_1")})
+        await until(pilot, lambda: [c.name for c in console.scope.channels] == ["q1"], "renamed")
+        assert "no longer shown, this program has not: e1" in events_of(lab)

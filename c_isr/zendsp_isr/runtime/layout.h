@@ -21,7 +21,7 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 8,
+    LAYOUT_VERSION = 9,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     STOP_PAGE_VERSION = 3, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
@@ -249,6 +249,8 @@ typedef struct control {
     int32_t crash_signal; /* by the signal handler */
     int32_t crash_within;
     uint64_t crash_address; /* of the instruction, offset in the program's image; 0: elsewhere */
+    uint32_t crash_stack;   /* 1: it was the end of the thread's stack */
+    uint32_t reserved;
 
     /* requests: by the monitor */
     uint32_t run;        /* RUN_…; the loop itself sets RUN_PAUSED at run_until */

@@ -19,8 +19,11 @@
 
 #include "runner.h"
 
+enum { STACK_PROBE = 4096 }; /* a page: the compiler's probes are no further apart */
+
 runner the_runner;
 _Thread_local int32_t this_thread_is;
+_Thread_local uint64_t this_stack_begins;
 
 static void *map_file(const char *path, size_t size) {
     struct stat status;
@@ -181,18 +184,28 @@ static void prepare_io(runner *r) {
     }
 }
 
+/* Between the first frame of a thread and its stack pointer all is stack: a write there fails only
+ * where no more stack can be had. A call or a probe reaches a page beyond the stack pointer. */
+static int stack_used_up(int number, uint64_t touched, uint64_t stack_pointer) {
+    return number == SIGSEGV && stack_pointer != 0 && touched < this_stack_begins &&
+           touched + STACK_PROBE >= stack_pointer;
+}
+
 static void on_crash(int number, siginfo_t *info, void *context) {
     runner *r = &the_runner;
-    uint64_t at = 0;
-    (void)info;
+    uint64_t at = 0, stack_pointer = 0;
 #if defined(__x86_64__)
     at = (uint64_t)((ucontext_t *)context)->uc_mcontext.gregs[REG_RIP];
+    stack_pointer = (uint64_t)((ucontext_t *)context)->uc_mcontext.gregs[REG_RSP];
 #elif defined(__aarch64__)
     at = (uint64_t)((ucontext_t *)context)->uc_mcontext.pc;
+    stack_pointer = (uint64_t)((ucontext_t *)context)->uc_mcontext.sp;
 #else
     (void)context;
 #endif
     r->control->crash_signal = number;
+    r->control->crash_stack =
+        (uint32_t)stack_used_up(number, (uint64_t)(uintptr_t)info->si_addr, stack_pointer);
     r->control->crash_within = this_thread_is ? this_thread_is : (int32_t)r->control->within;
     r->control->crash_address =
         at >= r->config.image && at < r->config.image_end ? at - r->config.image : 0;
@@ -211,6 +224,7 @@ static void catch_signals(void) {
     static unsigned char own_stack[65536];
     const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
     sigaltstack(&stack, NULL); /* a stack overflow needs another stack to be told on */
+    this_stack_begins = (uint64_t)(uintptr_t)__builtin_frame_address(0);
     struct sigaction crash = {.sa_sigaction = on_crash,
                               .sa_flags = (int)(SA_SIGINFO | SA_ONSTACK | SA_RESETHAND)};
     for (size_t i = 0; i < sizeof fatal / sizeof fatal[0]; i++)

@@ -130,6 +130,7 @@ typedef struct runner {
 extern runner the_runner;
 extern _Thread_local int32_t
     this_thread_is; /* WITHIN_BACKGROUND in the background thread, else 0 */
+extern _Thread_local uint64_t this_stack_begins; /* address in the first frame of the thread */
 
 /* dictionary.c */
 void dictionary_declare(

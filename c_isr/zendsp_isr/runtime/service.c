@@ -200,6 +200,7 @@ static void *background(void *argument) {
     static unsigned char own_stack[65536];
     const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
     sigaltstack(&stack, NULL);
+    this_stack_begins = (uint64_t)(uintptr_t)__builtin_frame_address(0);
     this_thread_is = WITHIN_BACKGROUND;
     /* of this thread alone, and beneath what the target as a whole was given (nice) */
     setpriority(PRIO_PROCESS, 0, getpriority(PRIO_PROCESS, 0) + 10);

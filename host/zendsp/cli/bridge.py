@@ -43,11 +43,12 @@ def foxglove(
     connect: str | None,
     as_json: bool,
 ) -> None:
-    """Serve signals, parameters and events to Foxglove and PlotJuggler, until Ctrl-C.
+    """Serve Foxglove and PlotJuggler.
 
-    CHANNELS are signals; without them, all of the program. The server listens on 127.0.0.1 only:
-    from another computer use ssh -L. It lets in your own viewers, no other user of this computer
-    and no foreign web page. Parameters are read only without --write.
+    They get signals, parameters and events, until Ctrl-C. CHANNELS are signals; without them, all
+    of the program. The server listens on 127.0.0.1 only: from another computer use ssh -L. It lets
+    in your own viewers, no other user of this computer and no foreign web page. Parameters are read
+    only without --write.
 
     Example:  zendsp bridge foxglove q tau -t imi
     """
@@ -82,10 +83,10 @@ def rerun(
     connect: str | None,
     as_json: bool,
 ) -> None:
-    """Show signals in the Rerun viewer, or write its file, until Ctrl-C.
+    """Show signals in Rerun, or write its file.
 
-    CHANNELS are signals; without them, all of the program that is loaded. 'rerun --bind 127.0.0.1'
-    starts a viewer that only this computer reaches.
+    It goes on until Ctrl-C. CHANNELS are signals; without them, all of the program that is loaded.
+    'rerun --bind 127.0.0.1' starts a viewer that only this computer reaches.
 
     Example:  zendsp bridge rerun q tau -t imi --save run.rrd
     """

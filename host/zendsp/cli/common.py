@@ -174,15 +174,16 @@ def held_target(name: str, endpoint: str | None) -> Target | None:
 
 def check_writable(out: Path) -> None:
     """Refuse a folder that cannot be written to, before the work rather than after it."""
-    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+    place = out.resolve()  # of report/.. too, where there is no report yet
+    missing = [folder for folder in (place, *place.parents) if not folder.exists()]
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ZendspError(
             f"--out {out}: cannot be made a folder ({error.strerror}): choose one that you may"
             " write to"
         ) from None
-    writable = os.access(out, os.W_OK)
+    writable = os.access(place, os.W_OK)
     for folder in missing:  # what is interrupted leaves none
         folder.rmdir()
     if not writable:

@@ -6,7 +6,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ import click
 from zendsp.cli.common import check_writable, out_option
 from zendsp.cli.completing import models
 from zendsp.cli.lines import fitted
+from zendsp.errors import ZendspError
 from zendsp_protocol.texts import shown
 
 if TYPE_CHECKING:
@@ -112,11 +113,27 @@ def command(
     cores = jobs or os.cpu_count() or 1
     if out is not None:
         check_writable(out)
+        _keep_inputs(out, (model_path, *train, *heldout), train if each else ())
     asked = _Asked(train, model_path, heldout, out, not no_figures, as_json, seed, cores, effects)
     if each:
         _each(asked, scheduler)
     else:
         _together(asked, run_on)
+
+
+def _keep_inputs(out: Path, inputs: Sequence[Path], each: Sequence[Path]) -> None:
+    """Refuse a folder whose report would replace what it is made from. ``each``: recordings that
+    get a folder of their own below it.
+    """
+    from zendsp.diagnosis.fleet import stems
+    from zendsp.diagnosis.report.files import would_replace
+
+    lost = would_replace([out / stem for stem in stems([*map(str, each)])] or [out], inputs)
+    if lost is not None:
+        raise ZendspError(
+            f"--out {out}: the report's {lost.name} would replace {lost}, which is given: choose"
+            " another folder"
+        )
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,9 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     lines = [f"{file}: {body['text']}"]
     if links:
         body["links"] = links
-        lines.append(f"  links that joints 1 to {len(links)} move: {', '.join(links)}")
+        many = f"links that joints 1 to {len(links)} move"
+        what = many if len(links) > 1 else "link that joint 1 moves"
+        lines.append(f"  {what}: {', '.join(links)}")
     if recording is not None:
         from zendsp.diagnosis.data.checks import check_signals
         from zendsp.diagnosis.data.reading import read_signals

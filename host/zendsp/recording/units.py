@@ -96,6 +96,8 @@ TIME_SUFFIXES = {"ms": "ms", "us": "us", "ns": "ns", "sec": "s", "s": "s"}
 TIME_NAMES = {"t", "time", "timestamp", "stamp", "clock", "elapsed"}
 TIME_NAMES |= {"zeit", "tijd", "tid", "temps", "tempo", "tiempo", "czas", "aika"}
 
+FORCE_NAMES = {"force", "kraft", "thrust"}  # of others an N at the end may be a number
+
 _FACTOR = re.compile(r"^(?P<symbol>[^\d^²³\-+]+)\^?(?P<power>[+-]?\d+|²|³)?$")
 _LAST = re.compile(r"(?P<rest>.+)[_.:](?P<last>[^_.:]+)$")
 _CAMEL = re.compile(r"(?P<rest>.*[a-z\d])(?P<last>Deg|Degrees|Grad|Rad|Mrad|Rpm|Dps|Nm|Ms|Us)$")
@@ -209,6 +211,8 @@ def unit_in_name(name: str) -> str:
     --------
     >>> unit_in_name("theta_deg"), unit_in_name("t_ms"), unit_in_name("v_ms"), unit_in_name("Kp")
     ('deg', 'ms', '', '')
+    >>> unit_in_name("force_N"), unit_in_name("gain_N")
+    ('N', '')
     """
     bare = name.partition("[")[0]
     parts = _LAST.match(re.sub("_N_m$", "_Nm", bare)) or _CAMEL.match(bare)
@@ -217,6 +221,8 @@ def unit_in_name(name: str) -> str:
     rest, last = parts["rest"], parts["last"]
     if TIME_NAMES & set(_WORDS.findall(rest.lower())):
         return TIME_SUFFIXES.get(last.lower(), "")
+    if last == "N":
+        return "N" if FORCE_NAMES & set(_WORDS.findall(rest.lower())) else ""
     return SUFFIXES.get(last) or SUFFIXES.get(last.lower(), "")
 
 

@@ -23,10 +23,16 @@ def own_folder() -> Path:
     Raises
     ------
     Refused
-        It belongs to someone else, or others may use it.
+        It cannot be made, belongs to someone else, or others may use it.
     """
     folder = Path(registry.folder())
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise Refused(
+            f"{folder} cannot be made a folder ({error.strerror}); set ZENDSP_RUNTIME_DIR to a"
+            " folder of your own"
+        ) from None
     found = folder.stat()
     if found.st_uid != os.getuid() or not registry.steady(folder):
         raise Refused(

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,19 @@ from zendsp.diagnosis.report.laws import as_stated
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
+
+FILES = (  # of a report, beside its figures: they replace those of an earlier one
+    "model.toml", "calibrated.toml", "model.mjcf", "compensation.c", "report.json", "report.html",
+    "next_reference.mat",
+)  # fmt: skip
+
+
+def would_replace(folders: Iterable[Path], inputs: Iterable[Path]) -> Path | None:
+    """The first of the files that a diagnosis reads which a report in one of the folders would
+    replace; None where there is none.
+    """
+    theirs = {folder.expanduser().resolve() / name for folder in folders for name in FILES}
+    return next((path for path in inputs if path.expanduser().resolve() in theirs), None)
 
 
 def write_report(

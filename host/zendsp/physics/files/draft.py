@@ -22,7 +22,7 @@ from zendsp.physics.files.draft_data import (
     unbroken,
     why_degrees,
 )
-from zendsp.physics.files.draft_robot import by_joints, joints_in, put_robot
+from zendsp.physics.files.draft_robot import by_joints, joints_in, of_arm, put_robot
 from zendsp.physics.files.draft_tables import (
     COUNTS_A_TURN,
     TURN,
@@ -84,6 +84,8 @@ def draft_model(
         The robot has fewer joints than the recording, or its file cannot be taken over.
     """
     groups = groups_of(table)
+    if robot is not None:
+        groups = of_arm(groups, robot)
     position = best_group(groups, Role.POSITION)
     bare = [name for name, values in table.columns.items() if not np.isfinite(values).any()]
     nothing = f"{', '.join(bare)} hold{'s' if len(bare) == 1 else ''} no finite number"
@@ -128,7 +130,8 @@ def draft_model(
         shown = replace(position, values=turned * position.values[part])
         driven = command and replace(command, values=command.values[part])
         _mechanism(page, shown, driven, step, linear, known, unit)
-    put_actuator(page, command, step, known)
+    lever = command is not None and command.unit == "N" and position.unit == "rad"
+    put_actuator(page, command, step, known, lever and robot is None)
     put_sensor(page, position, linear, known)
     _feedback(page)
     put_columns(page, table, groups, clock, position, command, joints)
@@ -324,7 +327,7 @@ def _numbers(
     ]
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
     rough = ROUGH if all(ideas) else 1.0
-    torque = command is not None and command.is_torque
+    torque = command is not None and command.is_torque and (linear or command.unit != "N")
     many = len(ideas) > 1
     hidden = [str(j + 1) for j, idea in enumerate(ideas) if idea is None]
     of = f" of joint {', '.join(hidden)}" if many and len(hidden) < len(ideas) else ""

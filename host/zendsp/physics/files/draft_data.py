@@ -100,11 +100,11 @@ def groups_of(table: Table) -> dict[Role, list[Group]]:
 
 def _stem(name: str, values: Array) -> str:
     """What the columns of one quantity share: ``q1``, ``q2``; ``joint_states.elbow.effort``,
-    ``joint_states.wrist.effort``.
+    ``joint_states.wrist.effort``, or as PlotJuggler writes them, ``/joint_states/elbow/effort``.
     """
     if values.ndim == 2:
         return name
-    parts = name.split(".")
+    parts = _path(name)
     plain = f"{parts[0]}.{parts[-1]}" if len(parts) > 2 else name
     return re.sub(r"\d+", "", plain)
 
@@ -144,8 +144,13 @@ def in_order(group: Group, position: Group) -> Group:
     return Group(tuple(group.names[k] for k in order), group.values[:, order], group.unit)
 
 
+def _path(name: str) -> list[str]:
+    """The steps of a name that is a path; where points part them, a topic keeps its slashes."""
+    return name.split(".") if "." in name else name.strip("/").split("/")
+
+
 def _joint(name: str) -> str:
-    return ".".join(name.split(".")[1:-1])
+    return ".".join(_path(name)[1:-1])
 
 
 def unbroken(clock: Group | None, rows: int) -> slice:

@@ -11,16 +11,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from zendsp.errors import ModelError
-from zendsp.physics.files.draft_data import Group
+from zendsp.physics.files.draft_data import Group, one_or_each
 from zendsp.physics.files.draft_tables import Page, put_effects
-from zendsp.tree import urdf_joints
+from zendsp.recording.roles import Role
+from zendsp.tree import urdf_coupled, urdf_joints
 from zendsp_protocol.texts import counted
 
 KINDS = {".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}
 
 
 def joints_in(robot: Path) -> list[str]:
-    """Names of the joints of a URDF or an MJCF that turn or slide, in the file's order.
+    """Names of the joints of a URDF or an MJCF that turn or slide, in the file's order. Of a URDF
+    those that follow another, and those that are followed, are not among them.
 
     Raises
     ------
@@ -40,15 +42,34 @@ def joints_in(robot: Path) -> list[str]:
     return [str(one.name) for one in every]
 
 
+def of_arm(groups: dict[Role, list[Group]], robot: Path) -> dict[Role, list[Group]]:
+    """The columns by their role, less those of joints that a model of the robot can only hold: a
+    driver publishes both fingers of a gripper, of which one follows the other.
+    """
+    joints = joints_in(robot)
+    held = urdf_coupled(str(robot)) if KINDS[robot.suffix.lower()] == "urdf" else []
+
+    def left(group: Group) -> Group | None:
+        named = [_named(name, [*joints, *held]) for name in group.names]
+        kept = [k for k, joint in enumerate(named) if joint not in held]
+        if len(kept) == len(group.names) or group.values.shape[1] != len(group.names):
+            return group
+        units = group.unit.split(", ")
+        unit = one_or_each([units[k % len(units)] for k in kept]) if kept else ""
+        names = tuple(group.names[k] for k in kept)
+        return Group(names, group.values[:, kept], unit) if kept else None
+
+    return {
+        role: [group for one in found if (group := left(one)) is not None]
+        for role, found in groups.items()
+    }
+
+
 def by_joints(group: Group, joints: Sequence[str]) -> tuple[Group, list[str]]:
     """A group with its columns in the order of a robot's joints, and the joints that they name;
     none where the columns do not name one each.
     """
-    found = []
-    for name in group.names:
-        said = [j for j in joints if _says(name, j)]
-        longest = max(said, key=len, default="")  # of wrist and wrist_2
-        found.append(longest)
+    found = [_named(name, joints) for name in group.names]
     if not all(found) or len(set(found)) < len(found) or len(found) != group.values.shape[1]:
         return group, []
     order = sorted(range(len(found)), key=lambda k: joints.index(found[k]))
@@ -56,6 +77,11 @@ def by_joints(group: Group, joints: Sequence[str]) -> tuple[Group, list[str]]:
     unit = ", ".join(units[k] for k in order) if len(units) == len(order) else group.unit
     ordered = Group(tuple(group.names[k] for k in order), group.values[:, order], unit)
     return ordered, [found[k] for k in order]
+
+
+def _named(column: str, joints: Sequence[str]) -> str:
+    """The joint that a column names, the longest one of wrist and wrist_2; empty: none."""
+    return max((j for j in joints if _says(column, j)), key=len, default="")
 
 
 def _says(column: str, joint: str) -> bool:
@@ -85,6 +111,5 @@ def put_robot(page: Page, robot: Path, folder: Path, position: Group, unit: str)
         several = ", ".join(position.names)
         ask = f"do {several} stand in this order? Drivers often list joints by the alphabet"
     which = named or joints[:count]
-    if which != joints or ask:
-        page.line(f"joints = {json.dumps(which, ensure_ascii=False)}", "in the file's order", ask)
+    page.line(f"joints = {json.dumps(which, ensure_ascii=False)}", "in the file's order", ask)
     put_effects(page, "N m s/rad, N s/m where the joint slides")

@@ -73,8 +73,10 @@ def put_effects(page: Page, unit: str) -> None:
     page.choice("coefficient = { value = 0.01 }", unit)
 
 
-def put_actuator(page: Page, command: Group | None, step: float, machine: Machine | None) -> None:
-    """Write ``[actuator]``; ``step`` is the sample time, s."""
+def put_actuator(
+    page: Page, command: Group | None, step: float, machine: Machine | None, lever: bool
+) -> None:
+    """Write ``[actuator]``; ``step`` is the sample time, s. ``lever``: joints turn by a force."""
     page.line()
     page.line("[actuator]")
     if command is None:
@@ -86,7 +88,10 @@ def put_actuator(page: Page, command: Group | None, step: float, machine: Machin
     names = ", ".join(command.names)
     each = " One for each joint: value = [2.0, 1.5]" if command.values.shape[1] > 1 else ""
     mixed = command.is_torque and ", " in command.unit  # joints that slide and joints that turn
-    if command.is_torque:
+    if lever:
+        ask = f"how many N m does one N of {names} make: at which radius, m, does it pull?{each}"
+        page.line("gain = { value = 1.0, free = false }", "N m per N of command", ask)
+    elif command.is_torque:
         of = "unit" if mixed else command.unit
         page.line("gain = { value = 1.0, free = false }", f"{command.unit} per {of} of command")
     elif _named_torque(command):

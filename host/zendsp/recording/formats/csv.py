@@ -43,12 +43,15 @@ NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
 # 01.02.2026, perhaps with 12:00:00: with points the day is first; 01/02/2026 may be both
 DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?![\d.])")
 EITHER_FIRST = re.compile(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}\b")
+VECTOR = re.compile(r"[\[(](.*)[\])]")
 ISO = "2026-02-01 12:00:00.5"
 DAY_S = 86400.0
 # what ROS calls the whole seconds of a time stamp, and the rest beside them
 NANOSECONDS = {"sec": ("nanosec", "nsec"), "secs": ("nsecs", "nanosecs")}
-NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
+# cells that stand for a number that is not there, as pandas, Python, spreadsheets and MATLAB say it
+NOTHING = ("", "NA", "N/A", "n/a", "#N/A", "<NA>", "null", "NULL", "None")
 SHOWN = 40  # characters of a line in a message
+ROSTOPIC = re.compile(r"%time,field\b")  # echo -p: its own time in ns, then the message
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
 WORD = re.compile(r"[^\s\[]+(?:\s*\[[^\]]*\])?")  # a name, perhaps with its unit: t [s]
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -79,10 +82,10 @@ def _title(recording: Recording) -> str:
 def read(path: Path) -> Raw:
     """Read any CSV whose first line that is not a comment names the columns."""
     body, metadata = _apart(_text(path))
-    first_line, ours = 1, False
-    while body.startswith("#"):
+    first_line, ours, above = 1, False, ""
+    while body.startswith(("#", "\n")):
         line, _, body = body.partition("\n")
-        first_line += 1
+        first_line, above = first_line + 1, line
         ours = ours or line.startswith(TITLE)
         if line.startswith(MARK):  # where it stood before it stood last
             metadata = line[len(MARK) :]
@@ -92,6 +95,9 @@ def read(path: Path) -> Raw:
             " checksum. Take another copy, or delete the first line to read what is left"
         )
     header_line, _, rows = body.partition("\n")
+    if _names(above, header_line):  # as np.savetxt writes them
+        header_line, rows, first_line = above[1:].strip(), body, first_line - 1
+    header_line = header_line.lstrip("%") if ROSTOPIC.match(header_line) is None else header_line
     if not header_line.strip():
         raise RecordingError(
             f"{path}: is empty; expected a line of column names, then rows of numbers"
@@ -110,9 +116,20 @@ def read(path: Path) -> Raw:
     return _stamped(_numbers(path, rows, Raw({}, units, {}, metadata), delimiter, first_line + 1))
 
 
+def _names(comment: str, line: str) -> bool:
+    """Whether a comment names the numbers of the line below it."""
+    between = r"[,;\t]" if re.search(r"[,;\t]", line) else r"\s+"
+    words, cells = (re.split(between, text.strip()) for text in (comment[1:], line))
+    return len(words) == len(cells) > 1 and all(map(_is_number, cells))
+
+
 def _stamped(raw: Raw) -> Raw:
-    """One column of each time stamp of two: ``header.stamp.sec`` and ``header.stamp.nanosec``."""
+    """One column of each time stamp of two: ``header.stamp.sec`` and ``header.stamp.nanosec``; that
+    of rostopic in s.
+    """
     columns, units, notes = dict(raw.columns), dict(raw.units), list(raw.notes)
+    if ROSTOPIC.match(",".join(columns)):
+        units |= {name: "ns" for name in columns if name == "%time" or name.endswith(".stamp")}
     for name in raw.columns:
         last = next((w for w in NANOSECONDS if re.search(rf"(?<![a-z]){w}$", name)), "")
         before = name.removesuffix(last)
@@ -265,17 +282,23 @@ def _pointed(text: str) -> str:
 
 
 def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
-    """All columns. Empty cells, ``NA`` and ``null`` are NaN, dates are seconds; columns of words
-    only are refused. A word among numbers raises ValueError.
+    """All columns. Empty cells, ``NA`` and ``null`` are NaN, dates are seconds, vectors in brackets
+    are arrays, and rows of empty cells are left out; columns of words only are refused. A word
+    among numbers raises ValueError.
     """
     names = list(raw.units)
-    table = [cells for cells in csv.reader(io.StringIO(text), delimiter=delimiter) if cells]
+    lines = csv.reader(io.StringIO(text), delimiter=delimiter)
+    table = [cells for cells in lines if any(cell.strip() for cell in cells)]
     if any(len(cells) != len(names) for cells in table):
         raise ValueError("lines of different length")
     columns, units, refused, notes = {}, dict(raw.units), {}, []
     for name, column in zip(names, zip(*table, strict=True), strict=True):
         cells = ["nan" if c.strip() in NOTHING else c.strip() for c in column]
         if all(c == "nan" or not _is_number(c) for c in cells) and set(cells) != {"nan"}:
+            vectors = _vectors(cells)
+            if vectors is not None:
+                columns[name] = vectors
+                continue
             seconds = _seconds(cells)
             if seconds is None:
                 date = EITHER_FIRST.match(cells[0])
@@ -294,6 +317,18 @@ def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
     if not columns:
         raise ValueError("nothing but text")
     return replace(raw, columns=columns, units=units, refused=refused, notes=tuple(notes))
+
+
+def _vectors(cells: list[str]) -> FloatArray | None:
+    """The numbers of cells that hold as many each in brackets, ``[0.1, 0.2]`` or ``(0.1, 0.2)``, as
+    pandas writes the arrays of a JointState; None of any others.
+    """
+    inside = [VECTOR.fullmatch(cell) for cell in cells]
+    try:
+        rows = [[float(x) for x in one[1].replace(",", " ").split()] for one in inside if one]
+        return np.array(rows) if len(rows) == len(cells) and rows[0] else None
+    except ValueError:  # words, or more in one than in another
+        return None
 
 
 def _seconds(cells: list[str]) -> FloatArray | None:

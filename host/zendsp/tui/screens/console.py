@@ -92,6 +92,9 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
             for name in plotted or self.lab.channels
             if set(names).issuperset(computed.get(name, [name]))
         ]
+        gone = [name for name in plotted if name not in keep]
+        if gone:
+            self.say(f"no longer shown, this program has not: {', '.join(gone)}", "warning")
         if not keep:
             usual = [
                 n

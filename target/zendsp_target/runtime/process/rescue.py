@@ -53,6 +53,23 @@ class Rescue:
         with contextlib.suppress(OSError):  # it was ended: there is another when it is wanted
             self._tell(runner)
 
+    def stand_by(self, runner: int) -> None:
+        """Begin another where it was ended: one that waits needs nothing more, whatever the system
+        lacks by then, and makes the machine safe even if this process is killed.
+        """
+        status = self._process.poll()
+        if status is None:
+            return
+        with contextlib.suppress(OSError):  # none can be had now: tried again in the next round
+            ended, self._process = self._process, self._begin()
+            assert ended.stdin is not None
+            ended.stdin.close()
+            self.guard(runner)
+            log.warning(
+                "the process that waits to make the machine safe was ended (status %d): another"
+                " waits in its place", status,
+            )
+
     def _tell(self, number: int) -> None:
         assert self._process.stdin is not None
         self._process.stdin.write(number.to_bytes(4, sys.byteorder))

@@ -37,6 +37,10 @@ _MEANT = {
     "SIGABRT": " (abort(), a failed assertion, or a thread that ends itself)",
     "SIGILL": " (a division by zero, or other code that C leaves undefined)",
 }
+STACK_USED_UP = (
+    " (the stack is used up: a function that calls itself without end, or a local array that is too"
+    " large; make it static)"
+)
 KILLED_S = 2.0  # for the system to end it: a call of a driver may hold that up for good
 BEING_MADE_SAFE = "the machine is being made safe"
 
@@ -303,7 +307,8 @@ class RunnerProcess:
             )
         if code is not None and code < 0:
             name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-            return f"{name} {where}{_MEANT.get(name, '')}; {last}"
+            meant = STACK_USED_UP if self.control.crash_stack else _MEANT.get(name, "")
+            return f"{name} {where}{meant}; {last}"
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
 
     def _stands_still(self) -> bool:
@@ -361,6 +366,14 @@ class RunnerProcess:
             self._process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(KILLED_S)
+
+    def keep_rescue(self) -> None:
+        """See to it that a process waits to make the machine safe. It may have been ended, when
+        memory ran out for example.
+        """
+        with self._making_safe:
+            if self.unsafe == BEING_MADE_SAFE and self.alive():
+                self._rescue.stand_by(self.pid)
 
     def look(self) -> None:
         """Note the processes that user code started, where the system cannot forbid starting them.

@@ -82,6 +82,7 @@ class Supervisor:
         seen, stalled, last = -1, 0.0, time.monotonic()
         while not self._process.wait_death(_ROUND_S):
             self._process.look()
+            _do(self._process.keep_rescue)
             _do(each_round)
             beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
             # a computer that stood still, or starved this thread, must not make a program look hung
