@@ -69,7 +69,6 @@ def test_the_fit_of_a_larger_implant_begins_from_that_of_the_smaller_one(
         return out
 
     monkeypatch.setattr(sizes, "fit_scored", noted)
-    monkeypatch.setattr(sizes._Implant, "_moved", lambda _, model, by: model)
     decided(reality.Machine())
     given: dict[str, Any] = {}
     for term, begun, _ in fits:
@@ -83,32 +82,6 @@ def test_the_fit_of_a_larger_implant_begins_from_that_of_the_smaller_one(
             assert begun == pytest.approx(first + grown * (ended - first))
             larger += 1
     assert larger
-
-
-@pytest.mark.usefixtures("searched_once")
-def test_the_fit_of_a_first_implant_begins_where_calibration_absorbs_it(
-    decided: Decided, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun: list[Any] = []
-    nearer: list[float] = []
-    moved, without = sizes._Implant._moved, sizes._Implant._without
-
-    def moved_by(self: Any, model: Any, by: Any) -> Any:
-        begun[:] = [model, out := moved(self, model, by)]
-        return out
-
-    def ended(self: Any, model: Any, smaller: Any, grown: float) -> Any:
-        out = without(self, model, smaller, grown)
-        if smaller is None:
-            at, to, end = (get_values(m, out.fit.handles) for m in (*begun, out.model))
-            unit = np.maximum(np.abs(at), 1e-12)
-            nearer.append(np.linalg.norm((end - to) / unit) / np.linalg.norm((end - at) / unit))
-        return out
-
-    monkeypatch.setattr(sizes._Implant, "_moved", moved_by)
-    monkeypatch.setattr(sizes._Implant, "_without", ended)
-    decided(reality.Machine())
-    assert np.median(nearer) < 0.5  # times as far as from the calibrated numbers themselves
 
 
 @pytest.mark.usefixtures("searched_once")
@@ -137,14 +110,8 @@ class _OneImplant(sizes._Implant):
     def with_terms(self, terms: tuple[Term, ...]) -> Term:
         return terms[-1]
 
-    def _moved(self, model: Any, by: Any) -> Any:
-        return model
-
     def _without(self, *_: Any) -> Any:
         return None
-
-    def absorbed(self, _: Term) -> dict[Any, float]:
-        return {}
 
     def _short_by(self, term: Term, *_: Any) -> tuple[float, float]:
         return self.enough / term.value("coefficient"), 0.1
@@ -158,8 +125,7 @@ def test_the_largest_effect_that_is_not_small_is_tried_before_none_is_said_to_be
     limit = sizes.NOT_SMALL / 1.25
     monkeypatch.setattr(sizes, "difference", lambda _, term, *__: limit * term.value("coefficient"))
     begun = Term("stiffness", 1, {"coefficient": Quantity(1.0), "neutral": Quantity(0.0)})
-    one: Any = _OneImplant(enough)
-    size, _ = one.seen(begun, 0.02, one)
+    size, _ = _OneImplant(enough).seen(begun, 0.02)
     assert size == pytest.approx(seen, rel=0.01)
 
 

@@ -55,7 +55,7 @@ from zendsp.diagnosis.search.rounds import PROMISING
 from zendsp.diagnosis.search.screen import FIRST_ORDER, Screen, phase_of
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
-from zendsp.physics.calibration.handles import Handle, get_values, set_values
+from zendsp.physics.calibration.handles import get_values, set_values
 from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, library, mechanism_of, unit_of
@@ -134,7 +134,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
         term = _smallest(traces[effect.aliases], name, implant.energy, beyond * scale)
-        size, torque = _worst(implant, effect, term, beyond, traces[effect.aliases])
+        size, torque = _worst(implant, effect, term, beyond)
         if effect.least is not None:  # the search takes no smaller one
             least = effect.least(facts(screen.records[0])).get(_key(effect), 0.0)
             size, torque = max(size, least), torque * max(1.0, least / size)
@@ -155,17 +155,17 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
 
 
 def _worst(
-    implant: _Implant, effect: Effect, term: Term | None, beyond: float, traces: _Traces
+    implant: _Implant, effect: Effect, term: Term | None, beyond: float
 ) -> tuple[float, float]:
     """The size from which on an effect is seen, and its torque: at the worst of its points, and a
     quarter period from it.
     """
-    size = NOT_SEEN if term is None else implant.seen(term, beyond, traces)
+    size = NOT_SEEN if term is None else implant.seen(term, beyond)
     phase = phase_of(effect)
     if term is None or size == NOT_SEEN or not phase:
         return size
     across = term.value(phase) + 0.5 * math.pi
-    return implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond, traces)
+    return implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
 
 
 def _screened(part: Data, decision: Decision, jobs: int) -> tuple[Fit, Screen]:
@@ -206,20 +206,12 @@ class _Traces:
         felt = (unit > 0.0) & np.isfinite(unit) & np.isfinite(here).all(axis=0)
         self.taken = np.linalg.pinv(there[:, felt] / unit[felt], rcond=TOLD)
         self.here = here[:, felt] / unit[felt]
-        self.unit = unit[felt]
-        kept = np.flatnonzero(free)[felt]
-        self.handles = tuple(found.handles[i] for i in kept)
 
     def of(self, term: Term) -> Array:
         """The trace of a term, (n,)."""
         there, here = (s.series([(term,)])[0] for s in (self.sought, self.screen))
         out: Array = here - self.here @ (self.taken @ there)
         return out
-
-    def absorbed(self, term: Term) -> dict[Handle, float]:
-        """By how much calibrated numbers move to absorb a term, to first order."""
-        moved = -(self.taken @ self.sought.series([(term,)])[0]) / self.unit
-        return dict(zip(self.handles, moved.tolist(), strict=True))
 
 
 def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term | None:
@@ -278,7 +270,7 @@ class _Implant:
             if t.joint == self.joint and t.effect in aliases and t.effect not in had
         )
 
-    def seen(self, term: Term, least: float, traces: _Traces) -> tuple[float, float]:
+    def seen(self, term: Term, least: float) -> tuple[float, float]:
         """The size of an effect that would be found and claimed, and its torque after calibration,
         ``least`` or more, as a part of the RMS torque. The search begins at a term's size.
         `NOT_SEEN` where even an effect that is not small would not be found.
@@ -296,8 +288,6 @@ class _Implant:
                 grown, last = grown / (AMPLE * large), True
                 term = _set(term, {key: term.value(key) / (AMPLE * large)})
                 continue
-            if without is None:
-                model = self._moved(model, traces.absorbed(term))
             without = self._without(model, without, grown)
             lacking, torque = self._short_by(term, without, least)
             if lacking <= 1.0:
@@ -308,14 +298,6 @@ class _Implant:
             grown = AMPLE * min(max(lacking, LARGER), FARTHER)
             term = _set(term, {key: grown * term.value(key)})
         return NOT_SEEN
-
-    def _moved(self, model: Model, by: dict[Handle, float]) -> Model:
-        """The model with its calibrated numbers moved to where the fit without the implant will
-        come to: it then needs a step less.
-        """
-        handles = joint_handles(self.final.data, model, self.joint)
-        change = np.array([by.get(h, 0.0) for h in handles])
-        return set_values(model, handles, get_values(model, handles) + change)
 
     def _without(self, model: Model, smaller: Scored | None, grown: float) -> Scored:
         """The calibrated numbers and the observer fitted without the implant. They start from those
@@ -328,9 +310,8 @@ class _Implant:
             at, ended = (get_values(m, handles) for m in (model, smaller.model))
             model = set_values(model, handles, at + grown * (ended - at))
         return fit_scored(
-            data, model, handles, joints, iterations=ITERATIONS, jobs=self.jobs, rounds=2,
-            brief=True,
-        )  # fmt: skip
+            data, model, handles, joints, iterations=ITERATIONS, jobs=self.jobs, rounds=2
+        )
 
     def _short_by(self, term: Term, without: Scored, least: float) -> tuple[float, float]:
         """The factor by which an effect would have to be larger (1 or less: it is seen), and its

@@ -151,7 +151,6 @@ def fit_scored(
     jobs: int = 2,
     rounds: int = 4,
     goal: float = math.inf,
-    brief: bool = False,
 ) -> Scored:
     """The fit of a model and its tuned observer, repeated until the bandwidth converges.
 
@@ -169,16 +168,13 @@ def fit_scored(
         Most changes of bandwidth.
     goal : float
         The deviance of the joint below which the fit is of any use, see ``fit``.
-    brief : bool
-        Nobody asks for the numbers' uncertainty, see ``fit``.
     """
     best: Scored | None = None
     for _ in range(rounds):
         most = cost_of(data, joints[0], goal) if goal < math.inf else goal
         result = fit(
-            data, model, handles, joints=joints, iterations=iterations, jobs=jobs, goal=most,
-            brief=brief,
-        )  # fmt: skip
+            data, model, handles, joints=joints, iterations=iterations, jobs=jobs, goal=most
+        )
         value = fitted_deviance(data, result, joints)
         if best is None or value < best.deviance:
             best = Scored(result, data, value, tuple(joints))
