@@ -41,7 +41,7 @@ TAKEN = "taken"
 SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
 DAMPING = 0.15  # damping ratio: neighbours among these overlap
 SHIFTED = 0.5  # s: least shift that brings a torque to another time
-REMEMBERED = 5e7  # bytes of shapes of a recording at most: of 40 s at 1 kHz, all
+DRAWN_BYTES = 5e7  # of shapes of a recording at most: of 40 s at 1 kHz, all
 SLOWER = 0.1  # of the sampling rate: fastest swing that the recording shows
 
 
@@ -359,7 +359,7 @@ def drawn(
         found = known.get(key)
         if found is None:
             found = shapes(rec, joint, mechanism, ranges, detail).astype(np.float32)
-            if sum(other.nbytes for other in list(known.values())) + found.nbytes < REMEMBERED:
+            if sum(other.nbytes for other in list(known.values())) + found.nbytes < DRAWN_BYTES:
                 known[key] = found
         made.append(found)
     return made[0] if len(made) == 1 else np.concatenate(made)
