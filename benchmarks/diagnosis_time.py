@@ -27,7 +27,7 @@ import numpy as np
 
 from zendsp.proof.build_case import Request
 from zendsp.proof.cases import write_all
-from zendsp.proof.children import command
+from zendsp.proof.children import command, environment
 from zendsp.proof.machines import MACHINES
 from zendsp.proof.mujoco.machines import MACHINES as MUJOCO_MACHINES
 
@@ -95,10 +95,10 @@ def diagnose(case: Path, jobs: int) -> tuple[str, float, float]:
     ]
     for name in listing["heldout"]:
         line += ["--heldout", str(case / name)]
-    env = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     done = subprocess.run(
-        [*line, "--json", "--jobs", str(jobs)], env=env, capture_output=True, text=True, check=False
+        [*line, "--json", "--jobs", str(jobs)], env=environment(), capture_output=True, text=True,
+        check=False,
     )
     wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:

@@ -14,12 +14,13 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 from zendsp.diagnosis.measure.likelihood import (
     Scored,
     calibrate_joint,
+    cost_of,
     fit_scored,
 )
 from zendsp.diagnosis.search import rounds, short_fits
 from zendsp.diagnosis.search.hypothesis import Rival
 from zendsp.diagnosis.search.rounds import Rounds
-from zendsp.diagnosis.search.screen import Candidate
+from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.short_fits import WAIT, ShortFits
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.terms import make_term
@@ -296,3 +297,23 @@ def test_an_effect_that_promises_more_than_the_listed_ones_gained_is_fitted_too(
     assert 100 < 0.05 * each.n < 1000
     more = each._overlooked(current, [(0.2, WAVE), (0.05, SPRING)], [[WAVE]], [listed], map)
     assert [r.effect for r in more] == fitted
+
+
+def test_a_fit_upon_the_models_numbers_ends_where_it_cannot_gain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    current = complete(2.0)
+    goals: list[float] = []
+    fitted = short_fits.fit
+
+    def noted(*args: Any, goal: float = np.inf, **more: Any) -> Any:
+        goals.append(goal)
+        return fitted(*args, goal=goal, **more)
+
+    monkeypatch.setattr(short_fits, "fit", noted)
+    short, worse = ShortFits(1, 1, 2000), 50.0
+    begun = fitted(current.data, with_candidate(current.model, OFFSET), (), iterations=0)
+    short._upon_its_numbers(current, OFFSET, begun, worse)
+    short._upon_its_numbers(current, OFFSET, begun, -worse)
+    of = [cost_of(current.data, 1, value) for value in (current.deviance, -worse)]
+    assert goals == pytest.approx([of[0], of[0], of[1], of[1]])

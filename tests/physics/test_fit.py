@@ -23,7 +23,7 @@ from zendsp.diagnosis.measure.likelihood import (
     tune_bandwidth,
 )
 from zendsp.physics.calibration.convergence import step_error, with_step_error
-from zendsp.physics.calibration.covariance import robust_covariance
+from zendsp.physics.calibration.covariance import _scores, robust_covariance
 from zendsp.physics.calibration.descent import Descent
 from zendsp.physics.calibration.fit import Data, fit
 from zendsp.physics.calibration.handles import free_handles, get_values, set_values
@@ -343,3 +343,11 @@ def test_a_number_correlated_with_a_known_one_has_the_uncertainty_that_follows(
     std = np.sqrt(np.diag(covariance))
     assert std[1] == pytest.approx(known, rel=0.05)
     assert std[0] == pytest.approx(np.hypot(known, misfit / np.sqrt(4000)), rel=0.2)
+
+
+@pytest.mark.parametrize("rows", [100, 250, 700])
+def test_a_last_block_may_be_shorter_in_a_covariance(rows: int) -> None:
+    rng = np.random.default_rng(1)
+    jac, r = rng.standard_normal((rows, 3)), rng.standard_normal(rows)
+    one_by_one = [r[i : i + 250] @ jac[i : i + 250] for i in range(0, rows, 250)]
+    assert _scores(jac, r, 250) == pytest.approx(np.array(one_by_one))

@@ -20,6 +20,7 @@ from zendsp.proof.build_case import Request
 from zendsp.proof.cases import write_all
 from zendsp.proof.score import answers, diagnose
 from zendsp.proof.seal import open_truth
+from zendsp_isr.build import cache_root
 
 DEADLINE = 30.0  # s, for what takes milliseconds on a machine that is not busy
 
@@ -45,6 +46,16 @@ def test_cpu_seconds_and_status_of_a_child_are_known(tmp_path: Path) -> None:
     ended = children.run([sys.executable, "-c", busy], tmp_path, 60.0)
     assert ended.status == 1 and ended.last_words == "no such column"
     assert 0.3 <= ended.cpu <= ended.seconds + 0.5
+
+
+def test_a_child_keeps_what_python_compiled_but_not_beside_the_sources(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    code = "import sys; print(sys.dont_write_bytecode, sys.pycache_prefix)"
+    line = [sys.executable, "-c", code]
+    said = subprocess.run(line, env=children.environment(), capture_output=True, text=True)
+    assert said.stdout.split() == ["False", str(cache_root() / "python")]
 
 
 def test_child_is_ended_at_its_limit_with_what_it_started(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ TAKEN = "taken"
 SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
 DAMPING = 0.15  # damping ratio: neighbours among these overlap
 SHIFTED = 0.5  # s: least shift that brings a torque to another time
+DRAWN_BYTES = 5e7  # of shapes of a recording at most: of 40 s at 1 kHz, all
 SLOWER = 0.1  # of the sampling rate: fastest swing that the recording shows
 
 
@@ -73,6 +74,11 @@ class Ranges:
     speed: float
     command: tuple[float, float]
     others: dict[int, tuple[float, float]]
+
+    @property
+    def all(self) -> tuple[object, ...]:
+        """All of them, to tell them from other ranges."""
+        return self.position, self.speed, self.command, *self.others.items()
 
 
 def ranges_of(data: Data, joint: int) -> Ranges:
@@ -209,12 +215,12 @@ def _structure(
     parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str], turning: bool
 ) -> Structure:
     """The result of ``structure``, computed."""
-    best = Structure(0.0, 0.0, 0.0)
+    best, found_by = Structure(0.0, 0.0, 0.0), None
     whole = replace(parts[0], records=tuple(r for part in parts for r in part.records))
     scale = mean_square(whole, joint)
     ranges = ranges_of(whole, joint)
-    drawn = {
-        d: [[_drawn(rec, joint, mechanisms, ranges, d) for rec in part.records] for part in parts]
+    shown = {
+        d: [[drawn(rec, joint, mechanisms, ranges, d) for rec in part.records] for part in parts]
         for d in DETAILS
     }
     lacks = {band: [lacking(part, model, joint, band) for part in parts] for band in BANDS[:3]}
@@ -224,9 +230,9 @@ def _structure(
     }
     for band, detail in product(BANDS[:3], DETAILS):
         used = [[counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
-        guesses = _predicted(parts, model, drawn[detail], lacks[band], used, joint, band)
+        guesses = _predicted(parts, model, shown[detail], lacks[band], used, joint, band)
         if guesses is None:
-            return best
+            break
         sums, counts, excess = [], [], 0.0
         for part, guess, use, noisy in zip(parts, guesses, used, noises[band], strict=True):
             gains = [
@@ -244,8 +250,8 @@ def _structure(
         size = float(np.sqrt(max(0.0, total) / np.concatenate(counts).sum() / scale))
         if size > best.size and z > 1.0:
             share = min(1.0, total / excess) if excess > 0 else 1.0
-            best = Structure(size, share, z, _apart(parts, guesses, used, joint, band))
-    return best
+            best, found_by = Structure(size, share, z), (guesses, used, joint, band)
+    return replace(best, apart=_apart(parts, *found_by)) if found_by else best
 
 
 def _predicted(
@@ -341,10 +347,19 @@ def _normal(
     return square, product
 
 
-def _drawn(
+def drawn(
     rec: Sequence[JointRecord], joint: int, mechanisms: Sequence[str], ranges: Ranges, detail: int
 ) -> Floats:
     """The shapes of all mechanisms, (m, n), in single precision, since reading them takes longest.
+    Those of a mechanism are drawn once: no model changes them.
     """
-    made = [shapes(rec, joint, m, ranges, detail) for m in mechanisms]
-    return np.concatenate(made, dtype=np.float32)
+    made, known = [], rec[joint - 1].shapes
+    for mechanism in mechanisms:
+        key = (mechanism, detail, ranges.all)
+        found = known.get(key)
+        if found is None:
+            found = shapes(rec, joint, mechanism, ranges, detail).astype(np.float32)
+            if sum(other.nbytes for other in list(known.values())) + found.nbytes < DRAWN_BYTES:
+                known[key] = found
+        made.append(found)
+    return made[0] if len(made) == 1 else np.concatenate(made)

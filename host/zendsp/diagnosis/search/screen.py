@@ -33,7 +33,9 @@ ADDED = ("torque", "load", "viscous", "dry", "sensor")
 SCALES = ("scale", "dry_scale")
 # of a column's energy: less is rounding, where calibrated parameters imitate the column
 IMITATED = 1e-8
-REMEMBERED = 3e7  # bytes of traces of a recording at most
+# bytes of traces of a recording at most: of 25 s, thinned, all. With half of it a screen computed
+# a third of them again
+REMEMBERED = 6e7
 FIRST_ORDER = 0.05  # s: largest shift in time that is nearly of first order; no fit starts beyond
 
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from zendsp.diagnosis.measure.likelihood import Scored, deviance, tune_bandwidth
+from zendsp.diagnosis.measure.likelihood import Scored, cost_of, deviance, tune_bandwidth
 from zendsp.diagnosis.search.candidates import first_look
 from zendsp.diagnosis.search.hypothesis import Rival, price
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
@@ -124,10 +124,12 @@ class ShortFits:
         look different, which may move numbers of dry friction far off.
         """
         best = result, value
+        # nor is a fit of any use that does not reach the model beneath it
+        goal = cost_of(current.data, self.joint, min(value, current.deviance))
         for terms in (result.model.terms[-len(candidate.terms) :], candidate.terms):
             model = with_candidate(current.model, replace(candidate, terms=terms))
             handles = joint_handles(current.data, model, self.joint)
-            other = self._short(current.data, model, handles, UPON)
+            other = self._short(current.data, model, handles, UPON, goal=goal)
             again = deviance(current.data, other.model, (self.joint,))
             best = (other, again) if again < best[1] else best
         return best
@@ -170,11 +172,12 @@ class ShortFits:
         return self._levels[id(current)][1:]
 
     def _short(
-        self, data: Data, model: Model, handles: Sequence[Handle], rounds: int, jobs: int = 1
+        self, data: Data, model: Model, handles: Sequence[Handle], rounds: int, jobs: int = 1,
+        goal: float = math.inf,
     ) -> Fit:
         return fit(
             data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=QUICK,
-            jobs=jobs, brief=True,
+            jobs=jobs, brief=True, goal=goal,
         )  # fmt: skip
 
     def _rival(self, candidate: Candidate, scored: Scored) -> Rival:

@@ -37,8 +37,7 @@ def robust_covariance(jac: Array, r: Array, block: int, prior: Array | None = No
     scale = np.where(idle, 1.0, np.sqrt(strength))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
     classic = inverse * noise
-    starts = np.arange(0, n, block)
-    scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
+    scores = _scores(jac, r, block)
     count = len(scores)
     spread = scores.T @ scores * count / max(1, count - p) + noise * known
     sandwich = inverse @ spread @ inverse
@@ -54,3 +53,12 @@ def robust_covariance(jac: Array, r: Array, block: int, prior: Array | None = No
     covariance[idle, :], covariance[:, idle] = 0.0, 0.0
     covariance[idle, idle] = UNKNOWN
     return covariance
+
+
+def _scores(jac: Array, r: Array, block: int) -> Array:
+    """The gradient of each block of samples, (blocks, p); the last may be shorter."""
+    whole, p = len(r) // block, jac.shape[1]
+    some = whole * block
+    parts = np.matmul(r[:some].reshape(whole, 1, block), jac[:some].reshape(whole, block, p))
+    rest = r[some:] @ jac[some:]
+    return parts[:, 0] if some == len(r) else np.concatenate([parts[:, 0], rest[None]])

@@ -74,6 +74,10 @@ class JointRecord:
     )
     # inertia and damping of the latest models by their id, see ``resisting``
     resists: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    # shapes of torques along it, see ``drawn`` of diagnosis/measure/structure.py
+    shapes: dict[Any, npt.NDArray[np.float32]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
     _liveliest: JointRecord | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
@@ -230,7 +234,8 @@ class JointRecord:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle only what the rest can be computed from."""
-        kept: dict[str, Any] = {key: {} for key in ("filled", "rigid", "waves", "resists")}
+        made = ("filled", "rigid", "waves", "resists", "shapes")
+        kept: dict[str, Any] = {key: {} for key in made}
         return {**self.__dict__, **_nothing_known(), **kept, "_liveliest": None}
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
