@@ -58,7 +58,7 @@ from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
-from zendsp.diagnosis.measure.significance import counterpart
+from zendsp.diagnosis.measure.significance import counterpart, deviation
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.wandering import wanders
 from zendsp.diagnosis.progress import Progress
@@ -210,7 +210,9 @@ class _Judge:
                     self._wanders(first)
                 ),
                 "the travel shows no whole period of it": (
-                    part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
+                    part_of_a_wave(
+                        first.terms[0], level + len(own) - 1, travel, self._of_a_turn(first)
+                    )
                 ),
                 "it stands upon what it bends": self._bends_what_it_stands_on(first),
                 f"{pieces} laws of one mechanism draw any curve": pieces >= CURVE,
@@ -239,6 +241,11 @@ class _Judge:
         return math.hypot(*beside) > least or (
             left is not None and self.after.high > least and _surely_more(left, least)
         )
+
+    def _of_a_turn(self, first: Piece) -> float:
+        """How well the period of a law is known, rad; infinite where the joint slides."""
+        turns = self.given.joint_kind(self.joint) != "linear"
+        return deviation(self.final.fit, first.terms[0], "period") if turns else math.inf
 
     def _wanders(self, first: Piece) -> bool:
         """Whether a law over time leaves a friction that changes with time in each recording by
