@@ -19,8 +19,8 @@ import numpy.typing as npt
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
 from zendsp.physics.calibration.predict import damping_along, response, run
-from zendsp.physics.kernel.smooth import widened
 from zendsp.physics.effects import get_effect
+from zendsp.physics.kernel.smooth import widened
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
