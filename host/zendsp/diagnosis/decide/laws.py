@@ -54,6 +54,7 @@ from zendsp.diagnosis.decide.thresholds import (
     STATED_BESIDE,
     SURE,
 )
+from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
@@ -457,14 +458,16 @@ def _without_others(claims: Sequence[Claim], decision: Decision, given: Model, j
 def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bool:
     """Whether a load behind a transmission explains most of the missing torque, and that is no
     function of the state. Only a load with motion of its own does this, however freely its numbers
-    can be bent.
+    can be bent; or a sine in time, on which the observer keeps a load that hardly damps.
     """
     if get_effect(claim.effect).family != "transmission":
         return False
-    most = decision.after.value**2 < (1.0 - PREDICTED) * decision.before.value**2
-    return most and (
-        structure(parts.each, decision.base.model, decision.joint, STRUCTURED).share < PREDICTED
-    )
+    model, joint = decision.base.model, decision.joint
+    least = PREDICTED * decision.before.value**2
+    if not decision.after.value**2 < (1.0 - PREDICTED) * decision.before.value**2:
+        return False
+    state = structure(parts.each, model, joint, STRUCTURED)
+    return state.share < PREDICTED and periodic(parts.held, model, joint) ** 2 < least
 
 
 def _hid(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> bool:
