@@ -12,7 +12,7 @@ import reality
 from small_models import VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import engine
-from zendsp.diagnosis.decide import absorbed, patchwork, pushes
+from zendsp.diagnosis.decide import absorbed, laws, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
@@ -293,3 +293,23 @@ def test_a_law_of_another_mechanism_takes_the_place_of_one_that_it_is_far_likeli
     scores[1:] *= -1  # the recordings to choose by deny it
     assert _likelier(final, rivals, scores) is None
     assert _likelier(final, [rival("inertia", -51001.0)], -scores[:2]) is None  # hardly likelier
+
+
+@pytest.mark.parametrize(("sine", "behind"), [(0.0, True), (0.06, True), (0.0928, False)])
+def test_a_load_that_follows_a_sine_in_time_is_no_doubted_spring(
+    monkeypatch: pytest.MonkeyPatch, sine: float, behind: bool
+) -> None:
+    """A machine nearby shook a cart at 3 Hz, with 9.3 % of its torque: any load that swings at 3 Hz
+    follows that.
+    """
+    monkeypatch.setattr(laws, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
+    monkeypatch.setattr(laws, "periodic", lambda *_: sine)
+    parts: Any = SimpleNamespace(each=(), held=None)
+    decision: Any = SimpleNamespace(
+        joint=1,
+        base=SimpleNamespace(model=None),
+        before=SimpleNamespace(value=0.0937),
+        after=SimpleNamespace(value=0.0486),
+    )
+    claim: Any = SimpleNamespace(effect="elasticity")
+    assert laws._behind_a_transmission(claim, decision, parts) is behind

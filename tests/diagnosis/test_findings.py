@@ -18,6 +18,7 @@ from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.findings import estimates, sentence
 from zendsp.diagnosis.decide.naming import (
+    _agreed_on,
     _numbers,
     _same,
     between,
@@ -282,6 +283,25 @@ def test_a_number_known_to_a_third_only_limits_the_confidence_of_its_law(
     values = {"coefficient": Estimate(0.7, std, "N m/rad³"), "neutral": Estimate(0.1, 0.3, "rad")}
     assert least < one_number("cubic_stiffness", values) <= most
     assert one_number("dead_zone", values) == 1.0
+
+
+@pytest.mark.parametrize(("along", "sure"), [(0.9999, True), (0.0, False)])
+def test_a_weight_is_known_where_only_its_angle_is_open(along: float, sure: bool) -> None:
+    """A pendulum's weight shares its size with the model's own: 0.0081 ± 0.0033 N m at 2.0 ± 0.8
+    rad. At each angle it is known to a hundredth.
+    """
+    term = Term("gravity", 1, {"torque": Quantity(0.0081), "angle": Quantity(2.0)})
+    std = np.array([0.0033, 0.82])
+    covariance = np.outer(std, std) * np.array([[1.0, along], [along, 1.0]])
+    handles = tuple(Handle("term", 0, key) for key in ("torque", "angle"))
+    fit = SimpleNamespace(
+        model=SimpleNamespace(terms=(term,)), handles=handles, covariance=covariance, std=std
+    )
+    pairs = zip(term.parameters.items(), std, strict=True)
+    values = {key: Estimate(q.value, float(s), "") for (key, q), s in pairs}
+    claim: Any = SimpleNamespace(effect="gravity", term=term)
+    whole: Any = SimpleNamespace(agreed={1: fit})
+    assert (_agreed_on(whole, claim, 1, values) > 0.99) is sure
 
 
 @pytest.mark.parametrize(("time", "refines"), [(136e-6, True), (150e-6, False)])

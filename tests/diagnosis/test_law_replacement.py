@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -38,6 +39,23 @@ def test_gravity_beside_a_constant_or_spring_over_less_than_a_turn_is_not_named(
 ) -> None:
     wave = Term("gravity", 1, {"angle": Quantity(angle, std=0.09)})
     assert patchwork.part_of_a_wave(wave, level, travel) is curve
+
+
+@pytest.mark.parametrize(
+    ("period", "unsure", "curve"),
+    [
+        (2.0962, 0.0025, False),  # a third of a turn
+        (2.0962, math.inf, True),  # of a joint that slides
+        (2.0962, 0.02, True),  # too rough to be told from others
+        (1.95, 0.0025, True),
+        (1.5, 0.0025, False),  # the travel shows it whole
+    ],
+)
+def test_a_friction_whose_period_divides_a_turn_is_named_on_a_shorter_travel(
+    period: float, unsure: float, curve: bool
+) -> None:
+    wave = Term("position_friction", 1, {"period": Quantity(period)})
+    assert patchwork.part_of_a_wave(wave, 0, 1.8, unsure) is curve
 
 
 def test_couplings_from_one_joint_are_one_finding_and_two_frictions_are_two() -> None:

@@ -15,9 +15,11 @@ from zendsp.diagnosis.measure.likelihood import (
     Scored,
     calibrate_joint,
     cost_of,
+    deviance,
     fit_scored,
 )
 from zendsp.diagnosis.search import rounds, short_fits
+from zendsp.diagnosis.search.candidates import simulated
 from zendsp.diagnosis.search.hypothesis import Rival
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
@@ -54,8 +56,50 @@ def test_a_law_that_makes_the_inertia_negative_is_refused(amount: float, possibl
         reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE), model
     )
     done = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=0)
-    rival = Rival("inertia", 1, Scored(done, data, 0.0, (1,)), 0.0, model.at(1)[2:], ())
-    assert Rounds(data, 1, 1, lambda _: None)._possible(rival) is possible
+    scored = Scored(done, data, 0.0, (1,))
+    rival = Rival("inertia", 1, scored, 0.0, model.at(1)[2:], ())
+    assert Rounds(data, 1, 1, lambda _: None)._possible(scored, rival) is possible
+
+
+@pytest.mark.parametrize(
+    ("before", "beside", "possible"), [(0.05, 0.4, True), (0.05, 4.8, False), (4.0, 4.8, True)]
+)
+def test_a_log_too_little_late_to_be_claimed_stays_so_beside_a_law(
+    before: float, beside: float, possible: bool
+) -> None:
+    """In rows. A spring of a cart was a lag of 4.8 ms at 1 kHz, in a log late by as much."""
+
+    def shifted(rows: float, *laws: dict[str, object]) -> Scored:
+        shift = {"kind": "column_shift", "joint": 1, "time": rows / RATE}
+        model = model_of(VISCOUS, COULOMB, shift, *laws)
+        data = data_of(columns, model)
+        done = fit(data, model, (), joints=(1,), iterations=0)
+        return Scored(done, data, 0.0, (1,))
+
+    columns = reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE)
+    current = shifted(before)
+    lag = shifted(beside, {"kind": "lag", "joint": 1, "time_constant": 4.8 / RATE})
+    rival = Rival("lag", 1, lag, 0.0, lag.model.at(1)[3:], ())
+    assert Rounds(current.data, 1, 1, lambda _: None)._possible(current, rival) is possible
+
+
+def test_the_search_for_a_spring_starts_from_the_given_numbers_too() -> None:
+    """Beneath a weight that calibration had bent by 14 %, no start of a true spring promised
+    anything.
+    """
+    given = model_of(VISCOUS, COULOMB)
+    machine = reality.Machine(load=0.004, soft=(2 * np.pi * 6.1) ** 2 * 0.0024)
+    columns = reality.simulate(machine, reality.multisine(6.0, RATE, 5, high=6.0), RATE)
+    data = data_of(columns, given)
+    bent = model_of(VISCOUS, {**COULOMB, "level": 0.15}, inertia=0.0102)
+    (group,) = simulated(data, bent, 1, frozenset({"elasticity"}), 1, given)
+    (plain,) = simulated(data, bent, 1, frozenset({"elasticity"}), 1)
+    assert sorted(c.beneath == given for c in group) == [False, True], "the best upon either"
+    levels = [
+        min(deviance(data, with_candidate(bent, c), (1,)) for c in group)
+        for group in (group, plain)
+    ]
+    assert levels[0] < levels[1] - 100.0
 
 
 def test_a_stiffening_spring_without_stiffening_is_called_a_spring() -> None:

@@ -17,10 +17,15 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 from zendsp.diagnosis.decide.claims import Piece
 from zendsp.diagnosis.decide.pieces import sure
 from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, SURE
+from zendsp.diagnosis.measure import discrepancy as measured
+from zendsp.diagnosis.measure.discrepancy import BANDS, discrepancy, holding
 from zendsp.diagnosis.measure.evidence import Evidence, compare, heard_slowly
-from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.likelihood import calibrate_joint, fit_scored
 from zendsp.diagnosis.search.bodies import FoundBody, find_bodies
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.diagnosis.search.rounds import Rounds
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.model import Model
 
 
 @pytest.mark.parametrize("tilt", [0.035, 0.0])
@@ -73,3 +78,37 @@ def test_a_likely_mechanism_is_sure_by_fast_observers_or_by_slower_ones(
     piece = Piece("inertia", (), nothing, 0.02, evidence, 50.0, slowly=slowly)
     assert sure(nothing, piece) is claims
     assert not sure(nothing, replace(piece, log_e=2.0)), "it has to be likely in any case"
+
+
+def falling(velocity: float, size: float = 0.5) -> tuple[Data, Model]:
+    """A joint whose friction falls by 0.05 N m, with its true model (in the kernel's form)."""
+    machine = reality.Machine(breakaway=0.08, stribeck=velocity)
+    columns = reality.simulate(machine, reality.multisine(10.0, RATE, 3, size=size, high=2.0), RATE)
+    curve = {"kind": "stribeck", "joint": 1, "breakaway": 0.05, "velocity": velocity}
+    model = model_of(VISCOUS, COULOMB, curve)
+    return data_of(columns, model), model
+
+
+@pytest.mark.parametrize(("velocity", "bands"), [(0.1, BANDS[:1]), (0.4, BANDS[:3])])
+def test_an_observer_slower_than_a_friction_falls_does_not_judge_it(
+    velocity: float, bands: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It shows how the model runs away, as if torque were missing beside a true Stribeck curve."""
+    data, model = falling(velocity)
+    assert holding(data, model, 1) == bands  # it falls by 42 and 10 rad/s
+    assert holding(data, model_of(VISCOUS, COULOMB), 1) == BANDS
+    lacks = discrepancy(data, model, 1).value
+    assert lacks < 0.001  # simulators differ by so much
+    monkeypatch.setattr(measured, "holding", lambda *_: BANDS)
+    assert discrepancy(data, model, 1).value >= lacks + (0.001 if len(bands) == 1 else 0.0)
+
+
+def test_a_stribeck_curve_is_fitted_under_a_slow_observer() -> None:
+    """Under the fast one that a model without it needs, the fit ended at 0.005 rad/s."""
+    data, model = falling(0.1)
+    without = model.with_terms(model.terms[:-1])
+    base = calibrate_joint(data, without, 1)
+    assert base.data.bandwidth == (64.0,)
+    each = Rounds(base.data, 1, 1, lambda _text: None, base.model)
+    (found,) = each.stand_ins(base, frozenset({"stribeck"}))
+    assert found.scored.model.terms[-1].value("velocity") == pytest.approx(0.1, rel=0.02)

@@ -54,11 +54,12 @@ from zendsp.diagnosis.decide.thresholds import (
     STATED_BESIDE,
     SURE,
 )
+from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
-from zendsp.diagnosis.measure.significance import counterpart
+from zendsp.diagnosis.measure.significance import counterpart, deviation
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.wandering import wanders
 from zendsp.diagnosis.progress import Progress
@@ -210,7 +211,9 @@ class _Judge:
                     self._wanders(first)
                 ),
                 "the travel shows no whole period of it": (
-                    part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
+                    part_of_a_wave(
+                        first.terms[0], level + len(own) - 1, travel, self._of_a_turn(first)
+                    )
                 ),
                 "it stands upon what it bends": self._bends_what_it_stands_on(first),
                 f"{pieces} laws of one mechanism draw any curve": pieces >= CURVE,
@@ -239,6 +242,11 @@ class _Judge:
         return math.hypot(*beside) > least or (
             left is not None and self.after.high > least and _surely_more(left, least)
         )
+
+    def _of_a_turn(self, first: Piece) -> float:
+        """How well the period of a law is known, rad; infinite where the joint slides."""
+        turns = self.given.joint_kind(self.joint) != "linear"
+        return deviation(self.final.fit, first.terms[0], "period") if turns else math.inf
 
     def _wanders(self, first: Piece) -> bool:
         """Whether a law over time leaves a friction that changes with time in each recording by
@@ -450,14 +458,16 @@ def _without_others(claims: Sequence[Claim], decision: Decision, given: Model, j
 def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bool:
     """Whether a load behind a transmission explains most of the missing torque, and that is no
     function of the state. Only a load with motion of its own does this, however freely its numbers
-    can be bent.
+    can be bent; or a sine in time, on which the observer keeps a load that hardly damps.
     """
     if get_effect(claim.effect).family != "transmission":
         return False
-    most = decision.after.value**2 < (1.0 - PREDICTED) * decision.before.value**2
-    return most and (
-        structure(parts.each, decision.base.model, decision.joint, STRUCTURED).share < PREDICTED
-    )
+    model, joint = decision.base.model, decision.joint
+    least = PREDICTED * decision.before.value**2
+    if not decision.after.value**2 < (1.0 - PREDICTED) * decision.before.value**2:
+        return False
+    state = structure(parts.each, model, joint, STRUCTURED)
+    return state.share < PREDICTED and periodic(parts.held, model, joint) ** 2 < least
 
 
 def _hid(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> bool:

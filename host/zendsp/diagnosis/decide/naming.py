@@ -33,7 +33,12 @@ from zendsp.diagnosis.decide.thresholds import (
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.diagnosis.measure.significance import counterpart, essence_of, essential_deviation
+from zendsp.diagnosis.measure.significance import (
+    counterpart,
+    deviation,
+    essence_of,
+    essential_deviation,
+)
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
 from zendsp.physics.calibration.joint import mechanism_value
@@ -89,7 +94,7 @@ def name_findings(
             if claim.effect != "unknown" and is_no_law(
                 claim.effect,
                 _numbers(given, decision, whole, claim, not get_effect(claim.effect).symmetric),
-                one_number(claim.effect, finding.parameters),
+                _agreed_on(whole, claim, joint, finding.parameters),
             ):
                 refinements.append(finding)
             else:
@@ -179,7 +184,7 @@ def _finding(
 ) -> Finding:
     joint, term = decision.joint, claim.term
     values = _numbers(given, decision, whole, claim)
-    sure = min(confidence(claim, decision), one_number(claim.effect, values))
+    sure = min(confidence(claim, decision), _agreed_on(whole, claim, joint, values))
     text = _held_otherwise(given, term, values) or sentence(term, values)
     text += _falls_to(whole.agreed[joint].model, term, given.torque_unit(joint))
     text += _turned(whole.agreed[joint].model, term, values)
@@ -358,6 +363,23 @@ def _numbers(
         key: replace(v, std=min(v.std, abs(v.value) / CLAIMED)) if key in shown else v
         for key, v in values.items()
     }
+
+
+def _agreed_on(
+    whole: Assembled, claim: Claim, joint: int, values: Mapping[str, Estimate]
+) -> float:
+    """``one_number`` of a law at its shape. A weight whose angle is open shares its size with the
+    model's own, and the recordings agree on it all the same.
+    """
+    if get_effect(claim.effect).shape == "angle":
+        fit, own = whole.agreed[joint], dict(values)
+        for key in essence_of(claim.effect):
+            spread = essential_deviation(fit, claim.term, key)
+            of_shape = deviation(fit, claim.term, key) ** 2 - spread**2
+            least = math.sqrt(max(own[key].std ** 2 - of_shape, spread**2))
+            own[key] = replace(own[key], std=min(least, own[key].std))
+        values = own
+    return one_number(claim.effect, values)
 
 
 def one_number(effect: str, values: Mapping[str, Estimate]) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from zendsp.diagnosis.decide.claims import Claim, Piece
 from zendsp.diagnosis.decide.thresholds import (
     CURVE,
+    FALSE_DISCOVERIES,
     FINEST,
     GROWN,
     HARMONIC,
@@ -130,15 +131,27 @@ def is_curve(ranked: Sequence[Piece], travel: float) -> bool:
     return bool(np.any(np.abs(ratios - np.round(ratios)) > HARMONIC))
 
 
-def part_of_a_wave(term: Term, beside: int, travel: float) -> bool:
+def _divides_a_turn(period: float, unsure: float) -> bool:
+    """Whether a period is a whole part of a turn, and known so well that by chance it would not be.
+    """
+    parts = max(round(2 * math.pi / period), 1)
+    window = PLAIN * unsure
+    by_chance = 2.0 * window * parts / period  # whole parts of a turn are a period / parts apart
+    return abs(2 * math.pi / parts - period) <= window and by_chance < FALSE_DISCOVERIES
+
+
+def part_of_a_wave(term: Term, beside: int, travel: float, unsure: float = math.inf) -> bool:
     """Whether a law that repeats along the position does not complete a period within the
-    ``travel``, where any curve is as good. A wave of one period a turn is ambiguous too over less
-    than a turn (rad), where ``beside`` other laws over the position stand beside it; unless it is
-    balanced at a multiple of a quarter turn, where an axis has its zero.
+    ``travel``, where any curve is as good; unless its period, known to ``unsure`` (infinite where
+    no joint turns), is a whole part of a turn, as of what turns with the joint. A wave of one
+    period a turn is ambiguous too over less than a turn (rad), where ``beside`` other laws over the
+    position stand beside it; unless it is balanced at a multiple of a quarter turn, where an axis
+    has its zero.
     """
     names = get_effect(term.effect).names
     if "period" in names:
-        return term.value("period") > travel
+        period = term.value("period")
+        return period > travel and not _divides_a_turn(period, unsure)
     if get_effect(term.effect).shape != "angle" or not beside or travel >= 2 * math.pi:
         return False
     angle = term.parameters["angle"]

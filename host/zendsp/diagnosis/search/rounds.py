@@ -64,6 +64,15 @@ def _promise(group: Sequence[Candidate]) -> float:
     return group[0].gain if slow else math.nan
 
 
+def below_least(term: Term, data: Data, joint: int) -> bool:
+    """Whether a term is below the least size that its effect says a recording can show."""
+    least = get_effect(term.effect).least
+    if least is None:
+        return False
+    record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
+    return any(abs(term.value(name)) < size for name, size in least(facts(record)).items())
+
+
 class Rounds:
     """The hypotheses at one joint, in a round for each model.
 
@@ -223,7 +232,7 @@ class Rounds:
                 vanishes(r.scored.fit, t) or (not only and self.too_small(r, t))
                 for t in r.terms
             )
-            and self._possible(r)
+            and self._possible(current, r)
         ]
         rivals.sort(key=lambda r: r.value)
         return self.order(current, rivals) if rivals else []
@@ -336,17 +345,19 @@ class Rounds:
 
     def too_small(self, rival: Rival, term: Term) -> bool:
         """Whether a term is below the least size that its effect says a recording can show."""
-        least = get_effect(term.effect).least
-        if least is None:
-            return False
-        record = max((rec[self.joint - 1] for rec in self.data.records), key=lambda r: r.n)
         fitted = counterpart(rival.scored.model.terms, term)
-        return any(abs(fitted.value(name)) < size for name, size in least(facts(record)).items())
+        return below_least(fitted, self.data, self.joint)
 
-    def _possible(self, rival: Rival) -> bool:
+    def _possible(self, current: Scored, rival: Rival) -> bool:
         """Whether the numbers of all terms found so far are possible for a machine: no joint has a
-        negative inertia.
+        negative inertia, and what was too small to be claimed (a log that is late by a part of a
+        row) stays so. A lag of 4.8 ms in a log that is late by as much imitated a spring.
         """
+        late = (t for t in current.model.at(self.joint) if get_effect(t.effect).family == "timing")
+        small = [t for t in late if below_least(t, self.data, self.joint)]
+        left = [t.effect for t in rival.scored.model.at(self.joint)]
+        if any(t.effect in left and not self.too_small(rival, t) for t in small):
+            return False
         model = rival.scored.model
         bare = model.with_terms(own_terms(model.terms))
         inertia, _ = self.data.records[0][self.joint - 1].inertia_and_bias(bare)

@@ -325,6 +325,8 @@ class Effect:
         Reports state its smallest detectable size.
     slow : bool
         A fast observer follows it: it is fitted under a slow one.
+    drops : callable or None
+        The steepest fall of its friction with the speed, N m s/rad or N s/m.
     rough : bool
         Impacts make the cost rough on a fine scale.
     loosens_inertia : bool
@@ -400,6 +402,7 @@ class Effect:
     hides: bool = False
     sized: bool = False
     slow: bool = False
+    drops: Callable[[Numbers], float] | None = None
     rough: bool = False
     loosens_inertia: bool = False
     same_as: tuple[str, ...] = ()
