@@ -18,9 +18,9 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.report import summary
-from zendsp.diagnosis.search import bodies
+from zendsp.diagnosis.search import bodies, body_numbers
 from zendsp.diagnosis.search.body_columns import _frictions
-from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import kernel_model
@@ -171,3 +171,36 @@ def test_joints_are_searched_without_a_body_once(
     )  # fmt: skip
     assert machine._claimed_of(found, nothing, 1, print).whole == "alone"
     assert len(asked) == (not known)
+
+
+def test_numbers_that_no_machine_has_are_not_gone_on_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A link of 0.33 kg that lacked all of it ended the diagnosis with an error."""
+    link = Hypothesis("body", 2, "link2", ("mass", "inertia"))
+    layout: Any = SimpleNamespace(
+        model=SimpleNamespace(terms=(), with_terms=lambda _: None),
+        term=lambda _h, values: values, place=lambda *_: None,
+    )  # fmt: skip
+
+    class Solver:
+        counts = np.ones(1)
+
+        def __init__(self, *_: Any) -> None: ...
+
+        def estimate(self, _h: Hypothesis, values: Any) -> Any:
+            return values - 0.2
+
+        def plausible(self, _h: Hypothesis, values: Any) -> bool:
+            return bool(values[0] > -0.33)
+
+        def std(self, *_: Any) -> Any:
+            return np.array([0.01])
+
+    monkeypatch.setattr(body_numbers, "Sums", lambda *_: None)
+    monkeypatch.setattr(body_numbers, "Solver", Solver)
+    monkeypatch.setattr(body_numbers, "_known_to", lambda _s, _f, values, _a: values)
+    first: Any = SimpleNamespace(hypothesis=link, values=np.array([-0.1, 0.0]))
+    nothing: Any = None
+    _, values = body_numbers._standing(nothing, layout, first, LIMITS, 1, ())
+    assert values[0] == pytest.approx(-0.3)
+    one: Any = Solver()
+    assert body_numbers.known_by(one, one, first, values)[1][0] == pytest.approx(-0.3)

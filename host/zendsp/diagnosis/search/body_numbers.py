@@ -84,6 +84,8 @@ def known_by(
     its numbers are known.
     """
     together = both.estimate(first.hypothesis, values)
+    if not both.plausible(first.hypothesis, together):
+        together = values
     std = one.std(first.hypothesis, values)
     # further recordings reduce the variance by their share of all samples
     more = 1.0 - one.counts.sum() / both.counts.sum()
@@ -119,6 +121,8 @@ def _standing(
         sums = Sums(fit, here, limits, jobs)
         solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
         new = solver.estimate(h, values)
+        if not solver.plausible(h, new):  # a link would have no mass left
+            break
         std = solver.std(h, new)
         if len(wider.free) > len(h.free):
             more = solver.estimate(wider, np.append(new, 0.0))
