@@ -127,7 +127,7 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "infinite": (infinite, "row 8: inf"),
     "too large to be squared": (huge, "row 2001: -1e+300"),
     "constant position": (constant, "constant"),
-    "position read more seldom than it is logged": (refreshed, "every 5th row only"),
+    "position read more seldom than it is logged": (refreshed, "one row of 5 only"),
     "constant command": (unexcited, "constant"),
     "no command": (silent, "zero throughout"),
     "one count of motion": (dither, "counts"),

@@ -157,7 +157,7 @@ def test_a_command_that_is_logged_more_seldom_than_the_loop_runs_is_said(
     for columns, told in ((good, False), (seldom, True)):
         signals = read_signals(reality.save(tmp_path / "a.csv", columns), given)
         notes = check_signals([signals], given)
-        assert any("new in every 10th row only" in note for note in notes) is told
+        assert any("new in one row of 10 only" in note for note in notes) is told
 
 
 @pytest.mark.parametrize(("weight", "turned"), [(1.0, True), (1.5, False)])

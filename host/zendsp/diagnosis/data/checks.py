@@ -88,9 +88,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
             y = raw.position[:, j]
             _moves(where, y, float(raw.resolution[j]), model)
-            _refreshed(
-                where, y, float(raw.resolution[j]), raw.sample_time, model.actuator.hold
-            )
+            _refreshed(where, y, float(raw.resolution[j]), raw.sample_time)
             stood += _glued(where, y, float(raw.resolution[j]), raw)
             _clipped(where, y, float(raw.resolution[j]), raw.sample_time)
             if raw.reference is not None:
@@ -144,9 +142,7 @@ def _moves(where: str, y: Array, resolution: float, model: Model) -> None:
         )
 
 
-def _refreshed(
-    where: str, y: Array, resolution: float, sample_time: float, hold: float | None
-) -> None:
+def _refreshed(where: str, y: Array, resolution: float, sample_time: float) -> None:
     """Refuse a position that steps only every few rows: it was read less often than logged, and so
     is late by half of that interval.
     """
@@ -157,11 +153,11 @@ def _refreshed(
     every = int(np.gcd.reduce(apart))
     if every > 1 and float(np.mean(apart == every)) > MOSTLY:
         raise RecordingError(
-            f"{where}: the position is new in every {every}th row only, though it moves on: the"
+            f"{where}: the position is new in one row of {every} only, though it moves on: the"
             f" sensor was read at {1.0 / (every * sample_time):.4g} Hz and logged at"
-            f" {1.0 / sample_time:.4g} Hz. Keep those rows alone, with sample_time ="
-            f" {every * sample_time:.4g} and [actuator] hold = {hold or sample_time:.4g} in the"
-            " model, or read the sensor in every row"
+            f" {1.0 / sample_time:.4g} Hz. Keep the rows in which it is new, each with the mean of"
+            f" the command from there to the next of them, and in the model sample_time ="
+            f" {every * sample_time:.4g} without [actuator] hold; or read the sensor in every row"
         )
 
 
@@ -172,7 +168,7 @@ def _seldom(where: str, u: Array, sample_time: float, hold: float | None) -> lis
     if every < 2 or (hold or sample_time) > MOSTLY * every * sample_time:
         return []
     return [
-        f"{where}: the command is new in every {every}th row only. If the loop commands that"
+        f"{where}: the command is new in one row of {every} only. If the loop commands that"
         f" seldom, say so ([actuator] hold = {every * sample_time:.4g}); if it is faster, nobody"
         " saw what it did in between, and what seems to be a delay, a lag or a late column may be"
         " the log's"
