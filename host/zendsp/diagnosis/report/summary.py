@@ -108,7 +108,7 @@ def _joint_of(x: Detectable, kind: str) -> str:
     words = []
     for name, value in x.at.items():
         unit = unit_of(get_effect(x.effect).parameter(name).size, kind)
-        words.append(f"{name.replace('_', ' ')} {value:.2g} {unit}".rstrip())
+        words.append(f"{name.replace('_', ' ')} {value:.2g} {unit}".removesuffix(" 1").rstrip())
     at = " and ".join(words)
     return f"{x.joint} at {at}" if at else str(x.joint)
 
