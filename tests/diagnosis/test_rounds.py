@@ -256,10 +256,10 @@ def test_where_thinned_recordings_mislead_a_hypothesis_is_fitted_to_every_sample
     hypotheses: list[Data] = []
     short = ShortFits._short
 
-    def noted(self: ShortFits, data: Data, model: Model, *rest: Any) -> Any:
+    def noted(self: ShortFits, data: Data, model: Model, *rest: Any, **more: Any) -> Any:
         if any(t.effect == "torque_offset" for t in model.terms):
             hypotheses.append(data)
-        return short(self, data, model, *rest)
+        return short(self, data, model, *rest, **more)
 
     monkeypatch.setattr(ShortFits, "_short", noted)
     found = Rounds(current.data, 1, 1, lambda _: None, model).short.quick(current, [OFFSET])
