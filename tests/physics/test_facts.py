@@ -12,10 +12,12 @@ import pytest
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.search.rounds import below_least
 from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import grid_of
-from zendsp.physics.effects import library
+from zendsp.physics.effects import get_effect, library
 from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.model import Quantity, Term
 
 T, COUNT = 0.002, 1e-4
 MODEL = parse_model(
@@ -77,3 +79,17 @@ def test_a_dead_zone_swallows_less_than_the_usual_command() -> None:
     (width,) = library()["dead_zone"].parameters
     assert width.limits is not None
     assert width.limits(facts(record))[1] == pytest.approx(0.9 / math.sqrt(2.0), rel=0.02)
+
+
+def test_an_actuator_does_not_saturate_below_half_of_its_commands() -> None:
+    """A wrist whose command only overcame a friction that nobody had written down was called
+    saturated at 0.0 N m, at 97 %.
+    """
+    data = prepare([recording(4.0, 0.9), recording(4.0, 0.5)], MODEL)
+    known = facts(data.records[0][0])
+    least = get_effect("saturation").least
+    assert least is not None
+    assert least(known)["level"] == pytest.approx(0.5 / math.sqrt(2.0), rel=0.02)
+    for level, refused in ((0.0, True), (0.3, True), (0.4, False)):
+        term = Term("saturation", 1, {"level": Quantity(level)})
+        assert below_least(term, data, 1) is refused

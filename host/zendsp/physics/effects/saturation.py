@@ -19,6 +19,8 @@ EFFECT = Effect(
     equation="clip(u, ±level)",
     over="command",
     grid={"level": of_command(0.06, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)},
+    # a limit that most commands pass leaves their sign only, as a dry friction takes it away again
+    least=lambda f: {"level": f.median},
     loosens_inertia=True,
     shown_by=("current",),
     why_not="no command passes the limit: plan below it",
