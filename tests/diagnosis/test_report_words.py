@@ -11,8 +11,8 @@ import pytest
 from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.decide import decide, findings
 from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted, dark, nearest
-from zendsp.diagnosis.decide.headline import percent, verdict_sentence
-from zendsp.diagnosis.decide.result import Detectable, Estimate, number
+from zendsp.diagnosis.decide.headline import percent, verdict_sentence, word_of
+from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report import files, html
 from zendsp.diagnosis.report.summary import _sized, unnamed
@@ -58,9 +58,10 @@ def test_an_unknown_remainder_is_never_called_small() -> None:
 
 
 def test_dry_friction_between_joints_is_not_called_a_mass() -> None:
-    text = verdict_sentence("missing", [("inertia", ("coupling",), 1)])
+    coupling, inertia = (word_of("inertia", (law,)) for law in ("coupling", "inertia"))
+    text = verdict_sentence("missing", [(coupling, ("coupling",), 1)])
     assert text == "Missing physics: the other joints' motion (coupling) at joint 1."
-    assert "mass" in verdict_sentence("missing", [("inertia", ("inertia",), 1)])
+    assert "mass" in verdict_sentence("missing", [(inertia, ("inertia",), 1)])
 
 
 def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:
@@ -160,3 +161,19 @@ def test_a_report_writes_through_no_link_into_a_file_elsewhere(tmp_path: Path, n
     files._clear(out)
     (out / name).write_text("of the report")
     assert precious.read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "confidence", "word"),
+    [
+        ("dry_friction", 0.6, "friction, dry or fluid"),
+        ("dry_friction", 0.93, "dry friction"),
+        ("fluid_friction", 0.5, "fluid friction"),
+    ],
+)
+def test_a_friction_that_is_not_surely_dry_is_not_called_so(
+    mechanism: str, confidence: float, word: str
+) -> None:
+    """|v|^0.6 and a brake by eddy currents were "dry friction (unknown)", 93 %."""
+    found = Finding("unknown", 1, {}, confidence, 1.0, (), (), "", mechanism=mechanism)
+    assert found.word == word

@@ -28,6 +28,7 @@ FAR_LATER = 2000.0
 WORDS = {
     "dry_friction": "dry friction",
     "fluid_friction": "fluid friction",
+    "friction": "friction, dry or fluid",  # without a law, see `Finding.word`
     "transmission": "a flexible or loose transmission",
     "position_torque": "a torque that depends on position",
     "inertia": "a mass or an inertia",

@@ -41,8 +41,9 @@ def verdict_sentence(
 
     Parameters
     ----------
-    found : sequence of (mechanism, effects, joint)
-        ``effects``: the named one, and those that cannot be told from it.
+    found : sequence of (word, effects, joint)
+        ``word``: the mechanism's, see ``word_of``. ``effects``: the named one, and those that
+        cannot be told from it.
     unseen : sequence of int
         Joints about which the recordings show nothing, see ``dark``.
     left : sequence of (joint, share)
@@ -53,13 +54,13 @@ def verdict_sentence(
 
     Examples
     --------
-    >>> drives = [("actuator", ("lag", "delay"), 1), ("actuator", ("lag",), 2)]
+    >>> drives = [("the actuator", ("lag", "delay"), 1), ("the actuator", ("lag",), 2)]
     >>> verdict_sentence(Verdict.MISSING, drives)
     'Missing physics: the actuator (lag or delay) at joint 1; the actuator (lag) at joint 2.'
-    >>> same = [("dry_friction", ("coulomb",), joint) for joint in (1, 2, 3)]
+    >>> same = [("dry friction", ("coulomb",), joint) for joint in (1, 2, 3)]
     >>> verdict_sentence(Verdict.MISSING, same)
     'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
-    >>> verdict_sentence(Verdict.MISSING, [("inertia", ("payload",), 2)])
+    >>> verdict_sentence(Verdict.MISSING, [(WORDS["inertia"], ("payload",), 2)])
     'Other than the model says: a mass or an inertia (payload) at joint 2.'
     >>> verdict_sentence(Verdict.COMPLETE, [], left=[(1, 0.015)]).rpartition(" and ")[2]
     'has no name: 1.5 % of the torque of joint 1.'
@@ -97,8 +98,7 @@ def verdict_sentence(
             " claimed."
         )
     at: dict[int, list[str]] = {}
-    for mechanism, effects, joint in found:
-        word = word_of(mechanism, effects)
+    for word, effects, joint in found:
         if word != WORDS["disturbance"]:
             word += f" ({' or '.join(effects)})"
         if word not in at.setdefault(joint, []):
@@ -107,7 +107,7 @@ def verdict_sentence(
     for joint, words in at.items():
         joints.setdefault(" and ".join(words), []).append(joint)
     where = [f"{what} at {listed(numbers)}" for what, numbers in joints.items()]
-    masses = all(word_of(m, effects) in (WORDS["inertia"], TILTED) for m, effects, _ in found)
+    masses = all(word in (WORDS["inertia"], TILTED) for word, _, _ in found)
     begin = "Other than the model says" if masses else "Missing physics"
     return f"{begin}: {'; '.join(where)}."
 

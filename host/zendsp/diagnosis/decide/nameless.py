@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.thresholds import (
     RIVAL,
     SIMULATORS_DIFFER,
     STATED_ALONE,
+    STEPS,
     SURE,
 )
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
@@ -64,7 +65,8 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
 
 def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Model) -> Claim:
     """A friction without a law as dry or fluid, by the variables that predict it beside what
-    calibration absorbed: fluid where no step at standstill is needed, which reversals show.
+    calibration absorbed: fluid where no step at standstill is needed, which reversals show. A
+    steep rise looks like a step, so dry is less sure.
     """
     if claim.effect != "unknown" or claim.mechanism not in FRICTION:
         return claim
@@ -72,6 +74,7 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
     of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
     steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY] and not _rises(given, decision)
     name = DRY if steps else FLUID
+    claim = replace(claim, most=min(claim.most, STEPS if name == DRY else 1.0))
     if name == claim.mechanism:
         return claim
     return replace(claim, mechanism=name, laws={"unknown": 1.0})

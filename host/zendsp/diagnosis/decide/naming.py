@@ -27,6 +27,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     SIMULATORS_DIFFER,
     STATED_ALONE,
+    STEPS,
     SURE,
     TOLERANCE,
 )
@@ -151,6 +152,8 @@ def _unknown(
         f"A torque that depends on the {what} of joint {joint}{besides} is missing,"
         f" {percent(claim.size)} % of its torque; {_nearest(claim, decision)}."
     )
+    if claim.mechanism == DRY and claim.most <= STEPS:
+        text += " It is dry friction, or a fluid friction that rises as steeply from standstill."
     if decision.strap and claim.mechanism == "position_torque":
         text = _pulled(decision, claim)
     return Finding(

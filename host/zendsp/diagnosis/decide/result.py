@@ -27,7 +27,9 @@ from zendsp.diagnosis.decide.contract import (
     nearest,
     two_digits,
 )
-from zendsp.diagnosis.decide.headline import verdict_sentence
+from zendsp.diagnosis.decide.headline import verdict_sentence, word_of
+from zendsp.diagnosis.decide.thresholds import STEPS
+from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data
@@ -92,6 +94,13 @@ class Finding:
     mechanism: str = ""
     # of the mechanism's laws: probabilities, given that it acts
     laws: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def word(self) -> str:
+        """The mechanism in plain words: both frictions where it is not surely one of them."""
+        unsure = self.effect == "unknown" and self.confidence <= STEPS
+        mechanism = "friction" if unsure and self.mechanism == DRY else self.mechanism
+        return word_of(mechanism, (self.effect, *self.indistinguishable))
 
     def __repr__(self) -> str:
         return (
@@ -348,7 +357,7 @@ class Diagnosis:
         """The verdict in one or two sentences, the mechanism first."""
         if self.stopped and not self.findings:
             return "Ended by Ctrl-C before it was done: nothing is claimed."
-        found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in self.findings]
+        found = [(f.word, (f.effect, *f.indistinguishable), f.joint) for f in self.findings]
         unseen = dark((x.joint, x.interval) for x in self.discrepancy)
         table, left = self.test or self.heldout, self.nameless
         near = nearest(self.verdict, self.rejected)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.decide.contract import Verdict, dark, spans
-from zendsp.diagnosis.decide.headline import word_of
 from zendsp.diagnosis.decide.result import Diagnosis, Errors, Finding, number
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import SMALLER, before, hidden, unasked, unnamed
@@ -183,9 +182,8 @@ def _findings_table(findings: Sequence[Finding]) -> str:
     ]
     for f in findings:
         numbers = "<br>".join(f"{escape(n)} = {escape(number(e))}" for n, e in f.parameters.items())
-        word = word_of(f.mechanism, (f.effect, *f.indistinguishable))
         rows.append(
-            f"<tr><td>{escape(word)}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}"
+            f"<tr><td>{escape(f.word)}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}"
             f"<td class=n>{_percent(f.share)}<td class=n>{100 * f.confidence:.0f} %"
             f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"  # noqa: E501
         )
