@@ -173,6 +173,34 @@ def test_joints_are_searched_without_a_body_once(
     assert len(asked) == (not known)
 
 
+@pytest.mark.parametrize("claimed", [True, False])
+def test_a_second_body_that_is_none_does_not_hide_the_first(
+    claimed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A base tilted by 2 degrees was a gravity at one joint, since a wrong link had been proposed
+    with it.
+    """
+    proposed = [SimpleNamespace(term=name) for name in ("tilt", "link")]
+    alone: Any = ([], ["decided"], "alone")
+    monkeypatch.setattr(machine, "findings_at", lambda *_: 2)
+    monkeypatch.setattr(machine, "with_bodies", lambda bare, _: bare)
+    monkeypatch.setattr(machine, "explain", lambda _, __, beneath, *___: (*alone[:2], beneath))
+    monkeypatch.setattr(machine, "plainer", lambda *_: False)
+
+    def decided(_parts: Any, search: Any, decisions: Any, _jobs: int) -> tuple[str, ...]:
+        assert decisions == ["decided"]
+        return tuple(f.term for f in search.found) if claimed else ()
+
+    monkeypatch.setattr(machine, "decide_bodies", decided)
+    nothing: Any = SimpleNamespace(test=None)
+    beneath: Any = SimpleNamespace(terms=(), with_terms=tuple)
+    bodies = machine.BodySearch(nothing, tuple(proposed))  # type: ignore[arg-type]
+    apart = machine.Found(nothing, nothing, beneath, bodies, [], *alone, ())
+    found = machine._one_body(apart, alone, nothing, 1, print)
+    assert found.claims == (("tilt",) if claimed else ())  # type: ignore[comparison-overlap]
+    assert found.whole == (("tilt",) if claimed else "alone")  # type: ignore[comparison-overlap]
+
+
 def test_numbers_that_no_machine_has_are_not_gone_on_with(monkeypatch: pytest.MonkeyPatch) -> None:
     """A link of 0.33 kg that lacked all of it ended the diagnosis with an error."""
     link = Hypothesis("body", 2, "link2", ("mass", "inertia"))

@@ -322,8 +322,9 @@ def _one_body(
 ) -> Found:
     """The findings with the one body that explains most, where the joints ``apart`` have more
     findings without it and predict no better. Each joint can mistake its part of a body for a wrong
-    number or a function of the position, so that none misses the body. ``explained``: the findings
-    with all proposed bodies.
+    number or a function of the position, so that none misses the body. Or with the first, where
+    it is claimed by itself: a second one that is none hid it. ``explained``: the findings with all
+    proposed bodies.
     """
     test, proposed = apart.bare.test, apart.bodies.found
     without = apart.explained
@@ -333,6 +334,11 @@ def _one_body(
     parts = with_bodies(apart.bare, beneath)
     if len(proposed) > 1:
         explained = explain(parts, given, beneath, jobs, tell)
+        first = replace(apart.bodies, found=proposed[:1])
+        if claims := decide_bodies(parts, first, explained[1], jobs):
+            return Found(
+                parts, apart.bare, beneath, apart.bodies, apart.measured, *explained, claims
+            )
     if not plainer(test, given, explained, without, -1):
         return apart
     claim = plainest(parts, proposed[0], explained[1], jobs)
