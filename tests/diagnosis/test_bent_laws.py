@@ -13,7 +13,7 @@ from made_claims import PARTS, claim_of, of_one_claim, piece
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
-from zendsp.diagnosis.decide import laws, patchwork
+from zendsp.diagnosis.decide import believed, laws, patchwork
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.near import ANOTHER
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
@@ -110,11 +110,12 @@ def test_laws_are_asked_again_beside_those_that_stand(monkeypatch: pytest.Monkey
         for effect, size in (("voltage_limit", 0.03), ("quadratic_drag", 0.01))
     )
     decision = replace(of_one_claim(limit, 0.04, 0.0), claims=(limit, drag))
-    monkeypatch.setattr(laws, "_without_others", lambda claims, *_: [c.effect for c in claims])
-    monkeypatch.setattr(laws, "_goes_on", lambda claim, *_: None if claim is limit else math.inf)
-    monkeypatch.setattr(laws, "_hid", lambda _claim, alone, *_: alone == ["quadratic_drag"])
+    monkeypatch.setattr(believed, "_without_others", lambda claims, *_: [c.effect for c in claims])
+    goes_on = {id(drag): math.inf}
+    monkeypatch.setattr(believed, "_goes_on", lambda claim, *_: goes_on.get(id(claim)))
+    monkeypatch.setattr(believed, "_hid", lambda _claim, alone, *_: alone == ["quadratic_drag"])
     given: Any = None
-    stand, alone, ahead, fell = laws._standing([limit, drag], decision, PARTS, given, 1)
+    stand, alone, ahead, fell = believed._standing([limit, drag], decision, PARTS, given, 1)
     assert (stand, alone, ahead) == ([], [], {})
     assert fell == {id(limit): ANOTHER, id(drag): laws.LEAVES_MORE}
 
@@ -127,8 +128,8 @@ def test_a_law_is_named_from_the_confidence_that_its_neighbours_leave(
     ahead: float, left: float, named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A voltage limit was stated at 13 %."""
-    monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
+    monkeypatch.setattr(believed, "_ahead", lambda *_: ahead)
     outcome = of_one_claim(claim_of(Term("gravity", 1, {}), 0.2), 0.2, left)
     nothing: Any = None
-    found = laws._goes_on(outcome.claims[0], nothing, outcome, PARTS)
+    found = believed._goes_on(outcome.claims[0], nothing, outcome, PARTS)
     assert found == (ahead if named else None)

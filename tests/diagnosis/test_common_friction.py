@@ -11,8 +11,8 @@ import pytest
 from made_claims import claim_of, of_one_claim
 
 from zendsp.diagnosis import joints
+from zendsp.diagnosis.decide import believed, nameless, pieces
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import laws, nameless, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, needed
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Estimate
@@ -90,11 +90,11 @@ def test_only_friction_that_the_given_model_lacks_is_expected(
 
 def doubted(effect: str, monkeypatch: pytest.MonkeyPatch) -> Decision:
     """A claim of which 53 in 100 are right, with Coulomb friction among its refinements."""
-    monkeypatch.setattr(laws, "confidence", lambda *_: 0.53)
-    monkeypatch.setattr(laws, "_is_likely", lambda c, *_: c.effect == "coulomb")
-    monkeypatch.setattr(laws, "_goes_on", lambda *_: np.inf)
-    monkeypatch.setattr(laws, "_alone", lambda *_: SimpleNamespace(model=None))
-    monkeypatch.setattr(laws, "discrepancy", lambda *_: "bare")
+    monkeypatch.setattr(believed, "confidence", lambda *_: 0.53)
+    monkeypatch.setattr(believed, "_is_likely", lambda c, *_: c.effect == "coulomb")
+    monkeypatch.setattr(believed, "_goes_on", lambda *_: np.inf)
+    monkeypatch.setattr(believed, "by_themselves", lambda *_: SimpleNamespace(model=None))
+    monkeypatch.setattr(believed, "discrepancy", lambda *_: "bare")
     claim = replace(claim_of(Term(effect, 1, {}), 0.28), laws={effect: 1.0})
     found = of_one_claim(claim, 0.3, 0.04, SimpleNamespace(model=model()))
     coulomb = replace(claim_of(Term("coulomb", 1, {}), 0.08), same=("coulomb_asymmetry",))
@@ -108,9 +108,9 @@ def test_a_doubted_stribeck_curve_of_a_model_without_dry_friction_is_coulomb_fri
     """Axis 3 of a KUKA KR300, all dry friction taken out of its model: 28 % of the torque, sure by
     13 standard deviations, and no law was stated.
     """
-    monkeypatch.setattr(laws, "_turns_otherwise", lambda *_: True)
+    monkeypatch.setattr(believed, "_turns_otherwise", lambda *_: True)
     parts: Any = SimpleNamespace(test=None)
-    found = laws.believed(doubted("stribeck", monkeypatch), parts, model(*given), 1)
+    found = believed.believed(doubted("stribeck", monkeypatch), parts, model(*given), 1)
     assert [c.effect for c in found.claims] == [stated] * bool(stated)
     if stated:
         (claim,) = found.claims
@@ -127,20 +127,20 @@ def test_a_fluid_friction_without_a_law_keeps_its_name_beside_a_dry_one(
         replace(claim_of(Term(e, 1, {}), size), laws={e: 1.0})
         for e, size in (("viscous_asymmetry", 0.5), ("coulomb", 0.7))
     )
-    monkeypatch.setattr(laws, "_is_likely", lambda c, *_: c.effect == "coulomb")
-    monkeypatch.setattr(laws, "_goes_on", lambda *_: np.inf)
-    monkeypatch.setattr(laws, "told_apart", lambda *_: True)
-    monkeypatch.setattr(laws, "_without_others", lambda *_: None)
-    monkeypatch.setattr(laws, "_beside_doubted", lambda *_: {})
+    monkeypatch.setattr(believed, "_is_likely", lambda c, *_: c.effect == "coulomb")
+    monkeypatch.setattr(believed, "_goes_on", lambda *_: np.inf)
+    monkeypatch.setattr(believed, "told_apart", lambda *_: True)
+    monkeypatch.setattr(believed, "_without_others", lambda *_: None)
+    monkeypatch.setattr(believed, "_beside_doubted", lambda *_: {})
     renamed: list[Claim] = []
-    monkeypatch.setattr(laws, "by_its_variables", lambda c, *_: renamed.append(c) or c)
+    monkeypatch.setattr(believed, "by_its_variables", lambda c, *_: renamed.append(c) or c)
     found = replace(of_one_claim(drag, 1.0, 0.1), claims=(drag, dry))
-    outcome = laws.believed(found, None, model(), 1)  # type: ignore[arg-type]
+    outcome = believed.believed(found, None, model(), 1)  # type: ignore[arg-type]
     assert [(c.effect, c.mechanism) for c in outcome.claims] == [
         ("unknown", "fluid_friction"), ("coulomb", "dry_friction"),
     ]  # fmt: skip
     assert not renamed
-    laws.believed(replace(found, claims=(drag,)), None, model(), 1)  # type: ignore[arg-type]
+    believed.believed(replace(found, claims=(drag,)), None, model(), 1)  # type: ignore[arg-type]
     assert renamed
 
 

@@ -12,7 +12,7 @@ import reality
 from small_models import VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import engine
-from zendsp.diagnosis.decide import absorbed, laws, patchwork, pushes
+from zendsp.diagnosis.decide import absorbed, believed, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
@@ -302,8 +302,8 @@ def test_a_load_that_follows_a_sine_in_time_is_no_doubted_spring(
     """A machine nearby shook a cart at 3 Hz, with 9.3 % of its torque: any load that swings at 3 Hz
     follows that.
     """
-    monkeypatch.setattr(laws, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
-    monkeypatch.setattr(laws, "periodic", lambda *_: sine)
+    monkeypatch.setattr(believed, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
+    monkeypatch.setattr(believed, "periodic", lambda *_: sine)
     parts: Any = SimpleNamespace(each=(), held=None)
     decision: Any = SimpleNamespace(
         joint=1,
@@ -312,4 +312,4 @@ def test_a_load_that_follows_a_sine_in_time_is_no_doubted_spring(
         after=SimpleNamespace(value=0.0486),
     )
     claim: Any = SimpleNamespace(effect="elasticity")
-    assert laws._behind_a_transmission(claim, decision, parts) is behind
+    assert believed._behind_a_transmission(claim, decision, parts) is behind

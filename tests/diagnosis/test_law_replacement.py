@@ -13,7 +13,7 @@ from made_claims import claim_of, of_one_claim
 from small_models import COULOMB, VISCOUS, model_of
 
 from zendsp.diagnosis import joints
-from zendsp.diagnosis.decide import laws, nameless, patchwork
+from zendsp.diagnosis.decide import believed, laws, nameless, patchwork
 from zendsp.diagnosis.decide.claims import Decision, Piece, unclaimed
 from zendsp.diagnosis.decide.contract import Reason
 from zendsp.diagnosis.decide.remember import remembered
@@ -169,10 +169,10 @@ def test_claims_are_judged_with_the_terms_that_a_refinement_had_replaced(
     terms = [Term(e, 1, {}) for e in ("viscous", "coulomb", "viscous_asymmetry", "backlash")]
     given = Model("m", 1e-3, "rotary", {}, tuple(terms[:2]))
     final: Any = SimpleNamespace(model=given.with_terms(tuple(terms[1:])), data=None)
-    monkeypatch.setattr(laws, "joint_handles", lambda *_: [])
-    monkeypatch.setattr(laws, "fit_scored", lambda _, model, *__, **___: model)
+    monkeypatch.setattr(believed, "joint_handles", lambda *_: [])
+    monkeypatch.setattr(believed, "fit_scored", lambda _, model, *__, **___: model)
     uneven, gap = (claim_of(t, 0.1) for t in terms[2:])
-    alone: Any = laws._alone(given, final, 1, [gap], [uneven], 1)
+    alone: Any = believed.by_themselves(given, final, 1, [gap], [uneven], 1)
     assert sorted(t.effect for t in alone.terms) == ["backlash", "coulomb", "viscous"]
 
 

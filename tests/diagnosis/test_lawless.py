@@ -14,8 +14,8 @@ from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import Diagnosis
+from zendsp.diagnosis.decide import believed
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide import propose as proposal
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure import structure as measure_structure
@@ -128,7 +128,7 @@ def test_several_mechanisms_without_a_law_are_claimed_as_one_torque(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def doubled(*arguments: Any) -> Decision:
-        found = laws.believed(*arguments)
+        found = believed.believed(*arguments)
         other = [replace(c, mechanism="position_torque") for c in found.claims]
         return replace(found, claims=(*found.claims, *other))
 

@@ -14,7 +14,7 @@ from made_claims import claim_of, of_one_claim, piece
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
-from zendsp.diagnosis.decide import absorbed, laws, nameless, pieces
+from zendsp.diagnosis.decide import absorbed, believed, laws, nameless, pieces
 from zendsp.diagnosis.decide.absorbed import _by
 from zendsp.diagnosis.decide.assemble import _known_to
 from zendsp.diagnosis.decide.claims import Decision
@@ -72,9 +72,9 @@ DOUBTFUL = Evidence(50.0, 4.0, np.zeros(1))
 def test_a_doubted_law_leaves_its_mechanism_claimed_where_it_explains_more_than_it_leaves(
     size: float, stands: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(laws, "told_apart", lambda *_: True)
+    monkeypatch.setattr(believed, "told_apart", lambda *_: True)
     lag = of_one_claim(claim_of(Term("lag", 1, {}), size, DOUBTFUL), 0.1, 0.01)
-    outcome = laws.believed(lag, None, None, 1)  # type: ignore[arg-type]
+    outcome = believed.believed(lag, None, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
     assert len(outcome.refinements) == (not stands)
 
@@ -106,7 +106,7 @@ def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lac
     monkeypatch.setattr(nameless, "structure", predicted)
     model: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
     found = replace(of_one_claim(claim, 0.03, 0.01, model), state=Structure(left, 0.9, 5.0))
-    outcome = laws.believed(found, SimpleNamespace(each=()), None, 1)  # type: ignore[arg-type]
+    outcome = believed.believed(found, SimpleNamespace(each=()), None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
 
 
@@ -114,10 +114,10 @@ def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lac
 def test_a_doubted_law_that_predicts_surely_better_than_its_neighbours_is_named(
     ahead: float, named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
-    monkeypatch.setattr(laws, "told_apart", lambda *_: True)
+    monkeypatch.setattr(believed, "_ahead", lambda *_: ahead)
+    monkeypatch.setattr(believed, "told_apart", lambda *_: True)
     doubted = of_one_claim(claim_of(Term("dead_zone", 1, {}), 0.02), 0.025, 0.01)
-    outcome = laws.believed(doubted, None, None, 1)  # type: ignore[arg-type]
+    outcome = believed.believed(doubted, None, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == ["dead_zone" if named else "unknown"]
 
 
@@ -134,9 +134,9 @@ def test_a_doubted_law_that_predicts_surely_better_than_its_neighbours_is_named(
 def test_a_law_is_no_surer_than_that_it_predicts_better_than_its_neighbours(
     effect: str, ahead: float, most: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
+    monkeypatch.setattr(believed, "_ahead", lambda *_: ahead)
     sure = of_one_claim(claim_of(Term(effect, 1, {}), 0.2), 0.2, 0.0)
-    outcome = laws.believed(sure, None, None, 1)  # type: ignore[arg-type]
+    outcome = believed.believed(sure, None, None, 1)  # type: ignore[arg-type]
     assert confidence(outcome.claims[0], outcome) == pytest.approx(most, abs=1e-4)
 
 
@@ -144,15 +144,15 @@ def test_a_law_is_no_surer_than_that_it_predicts_better_than_its_neighbours(
 def test_how_a_known_friction_behaves_at_reversals_is_no_missing_mechanism(
     monkeypatch: pytest.MonkeyPatch, moving: float, stands: bool
 ) -> None:
-    for room in (laws, nameless):
+    for room in (believed, nameless):
         monkeypatch.setattr(room, "structure", lambda *_, turning=True: Structure(moving, 0.6, 5.0))
-    monkeypatch.setattr(laws, "told_apart", lambda *_: True)
-    monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
+    monkeypatch.setattr(believed, "told_apart", lambda *_: True)
+    monkeypatch.setattr(believed, "_ahead", lambda *_: 0.0)
     friction = Term("coulomb", 1, {})
     base = SimpleNamespace(model=SimpleNamespace(at=lambda _: (friction,)))
     bristles = claim_of(Term("presliding", 1, {}), 0.01, DOUBTFUL)
     found = of_one_claim(bristles, 0.012, 0.008, base)
-    outcome = laws.believed(found, SimpleNamespace(each=()), None, 1)  # type: ignore[arg-type]
+    outcome = believed.believed(found, SimpleNamespace(each=()), None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
 
 
@@ -162,15 +162,15 @@ def test_how_a_known_friction_behaves_at_reversals_is_no_missing_mechanism(
 )
 def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, much: bool) -> None:
     """5 % are allowed; the evidence is that for what exceeds them."""
-    assert laws._surely_more(Structure(size, 0.5, z), 0.05) is much
+    assert believed.surely_more(Structure(size, 0.5, z), 0.05) is much
 
 
 def test_a_law_leaves_too_much_where_that_acts_seldom_and_not_by_chance() -> None:
     """A bump at one place and speed had left a friction over the position all of its size, in so
     few blocks that they were 1.4 deviations; 11 by chance, with the torque shifted in time.
     """
-    assert laws._surely_more(Structure(0.1, 0.3, 1.4, apart=11.4), 0.05)
-    assert not laws._surely_more(Structure(0.1, 0.3, 1.4, apart=4.0), 0.05)
+    assert believed.surely_more(Structure(0.1, 0.3, 1.4, apart=11.4), 0.05)
+    assert not believed.surely_more(Structure(0.1, 0.3, 1.4, apart=4.0), 0.05)
 
 
 @pytest.mark.parametrize(
@@ -238,13 +238,13 @@ def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
         nothing, nothing, 1.0,
     )  # type: ignore[arg-type]  # fmt: skip
     parts: Any = None
-    monkeypatch.setattr(laws, "_goes_on", lambda *_: math.inf)
-    monkeypatch.setattr(laws, "confidence", lambda *_: 0.2)
-    monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
-    monkeypatch.setattr(laws, "stated", lambda claim, _: True)
-    assert laws.believed(decision, parts, parts, 1).claims == (large, small, other)
-    monkeypatch.setattr(laws, "stated", lambda claim, _: claim is not large)
-    assert laws.believed(decision, parts, parts, 1).claims == (other,)
+    monkeypatch.setattr(believed, "_goes_on", lambda *_: math.inf)
+    monkeypatch.setattr(believed, "confidence", lambda *_: 0.2)
+    monkeypatch.setattr(believed, "by_themselves", lambda *_: nothing)
+    monkeypatch.setattr(believed, "stated", lambda claim, _: True)
+    assert believed.believed(decision, parts, parts, 1).claims == (large, small, other)
+    monkeypatch.setattr(believed, "stated", lambda claim, _: claim is not large)
+    assert believed.believed(decision, parts, parts, 1).claims == (other,)
 
 
 @pytest.mark.parametrize(("effect", "turns"), [("stribeck", False), ("presliding", True)])
@@ -271,14 +271,14 @@ def test_friction_beside_a_curve_over_position_is_claimed_where_nothing_is_left(
     rubs = claim_of(Term("coulomb", 1, {}), 0.1)
     ripple = claim_of(Term("ripple", 1, {}), 0.1)  # of a curve over position it is a part
     monkeypatch.setattr(nameless, "structure", lambda *_: Structure(0.5, 9.0, 1.0))
-    monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
+    monkeypatch.setattr(believed, "_ahead", lambda *_: 0.0)
     outcome = replace(of_one_claim(curve, 1.2, left), claims=(curve, rubs, ripple))
     nothing: Any = SimpleNamespace(each=(), model=None, test=None)
-    monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
+    monkeypatch.setattr(believed, "by_themselves", lambda *_: nothing)
     monkeypatch.setattr(nameless, "beside_unknown", lambda *_: None)
-    monkeypatch.setattr(laws, "discrepancy", lambda *_: outcome.after)
+    monkeypatch.setattr(believed, "discrepancy", lambda *_: outcome.after)
     outcome = replace(outcome, final=nothing, alone=nothing)
-    decided = laws.believed(replace(outcome, base=nothing), nothing, nothing, 1)
+    decided = believed.believed(replace(outcome, base=nothing), nothing, nothing, 1)
     assert ("coulomb" in {c.effect for c in decided.refinements}) is not stand
     assert [c.effect for c in decided.claims] == (["unknown", "coulomb"] if stand else ["unknown"])
 
@@ -298,14 +298,14 @@ def test_the_mechanism_of_an_unknown_torque_is_judged_beside_the_named_laws(
 
     monkeypatch.setattr(nameless, "structure", most)
     monkeypatch.setattr(nameless, "beside_unknown", lambda *_: beside)
-    monkeypatch.setattr(laws, "confidence", lambda *_: named)
-    monkeypatch.setattr(laws, "stated", lambda claim, _: named > 0.5)
-    monkeypatch.setattr(laws, "_ahead", lambda *_: 4.0)
-    monkeypatch.setattr(laws, "_turns_otherwise", lambda *_: True)
+    monkeypatch.setattr(believed, "confidence", lambda *_: named)
+    monkeypatch.setattr(believed, "stated", lambda claim, _: named > 0.5)
+    monkeypatch.setattr(believed, "_ahead", lambda *_: 4.0)
+    monkeypatch.setattr(believed, "_turns_otherwise", lambda *_: True)
     outcome = replace(of_one_claim(curve, 0.4, 0.01, base), claims=(rubs, curve))
-    monkeypatch.setattr(laws, "_alone", lambda *_: outcome.alone)
+    monkeypatch.setattr(believed, "by_themselves", lambda *_: outcome.alone)
     parts: Any = SimpleNamespace(each=())
-    decided = laws.believed(outcome, parts, parts, 1)
+    decided = believed.believed(outcome, parts, parts, 1)
     assert [c.effect for c in decided.claims] == (["stribeck", "unknown"] if stands else [])
 
 

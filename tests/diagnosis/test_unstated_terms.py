@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from made_claims import PARTS, claim_of, of_one_claim, piece
 
-from zendsp.diagnosis.decide import decide, laws
+from zendsp.diagnosis.decide import believed, decide
 from zendsp.diagnosis.decide.claims import Piece
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.model import Quantity, Term
@@ -107,8 +107,8 @@ def test_what_a_law_leaves_is_not_hidden_by_terms_that_are_not_stated(
     names = numbers.get(law, ("coefficient",))
     claim = claim_of(Term(law, 1, {name: Quantity(1.0) for name in names}), 0.1)
     left = {"alone": Structure(alone, 0.9, 9.0), "whole": Structure(0.0, 0.0, 0.0)}
-    monkeypatch.setattr(laws, "structure", lambda _parts, model, *_: left[model])
+    monkeypatch.setattr(believed, "structure", lambda _parts, model, *_: left[model])
     whole, bare = (SimpleNamespace(model=name) for name in ("whole", "alone"))
     decision: Any = of_one_claim(claim, 0.1, 0.0, whole)
-    assert laws._hid(claim, bare, decision, PARTS) is hid  # type: ignore[arg-type]
-    assert not laws._hid(claim, whole, decision, PARTS)  # type: ignore[arg-type]
+    assert believed._hid(claim, bare, decision, PARTS) is hid  # type: ignore[arg-type]
+    assert not believed._hid(claim, whole, decision, PARTS)  # type: ignore[arg-type]

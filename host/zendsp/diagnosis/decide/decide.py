@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.believed import believed
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, Verdict, contradicted
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent
-from zendsp.diagnosis.decide.laws import believed, named
+from zendsp.diagnosis.decide.laws import named
 from zendsp.diagnosis.decide.nameless import only_mechanism
 from zendsp.diagnosis.decide.near import nearest_law, with_reasons
 from zendsp.diagnosis.decide.pieces import (

@@ -3,73 +3,53 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-import numpy.typing as npt
-
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.believed import by_themselves, surely_more, without_its_parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
-from zendsp.diagnosis.decide.confidence import confidence, likely_enough, stated
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
-from zendsp.diagnosis.decide.near import ANOTHER, LEAVES_MORE, doubt, why_curve
+from zendsp.diagnosis.decide.near import LEAVES_MORE, why_curve
 from zendsp.diagnosis.decide.patchwork import (
     bends,
-    both_needed,
-    draws_a_curve,
     is_curve,
     makes_another_grow,
     part_of_a_wave,
     stand_on_nothing,
-    twins,
 )
 from zendsp.diagnosis.decide.pieces import (
     kept_laws,
     kind_of,
     known_discrepancy,
-    law_leaves,
     may_leave,
     piece_of,
     rms_torque,
-    rubs,
     sure,
-    taken_away,
     turns_round,
 )
-from zendsp.diagnosis.decide.rivals import law_of, together
+from zendsp.diagnosis.decide.rivals import law_of
 from zendsp.diagnosis.decide.thresholds import (
-    A_PART,
-    BY_CHANCE,
     CURVE,
     LAW_ERROR,
     LEFT_BY_A_LAW,
-    OF_STATE,
     OWN_SHARE,
     PLAIN,
-    PREDICTED,
     SIMULATORS_DIFFER,
-    STATED_ALONE,
-    STATED_BESIDE,
     SURE,
 )
-from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
-from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
-from zendsp.diagnosis.measure.neighbours import against_neighbours
-from zendsp.diagnosis.measure.significance import counterpart, deviation
+from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.significance import deviation
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.wandering import wanders
 from zendsp.diagnosis.progress import Progress
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
-from zendsp.physics.calibration.fit import Data, joint_handles
+from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term
-
-Array = npt.NDArray[np.float64]
 
 
 def named(
@@ -126,13 +106,13 @@ def named(
         claims += [law_of(parts, given, search, rounds, final, p, p, tell) for p in own[1:]]
     refinements += [c for p in rest for c in _plain(p)]
     claims.sort(key=lambda c: -c.evidence.gain)
-    claims, more = _beside_unknown(claims, after.value)
+    claims, more = without_its_parts(claims, after.value)
     refinements += more
     best = claims[0].size if claims else 0.0
     # more torque over the state is left than any claim explains
     if state.size > best and state.z > SURE:
         claims = []
-    alone = _alone(given, final, joint, claims, refinements, jobs)
+    alone = by_themselves(given, final, joint, claims, refinements, jobs)
     return Decision(
         joint,
         Verdict.MISSING,
@@ -240,7 +220,7 @@ class _Judge:
             and sure(self.parts.test, p)
         ]
         return math.hypot(*beside) > least or (
-            left is not None and self.after.high > least and _surely_more(left, least)
+            left is not None and self.after.high > least and surely_more(left, least)
         )
 
     def _of_a_turn(self, first: Piece) -> float:
@@ -257,7 +237,7 @@ class _Judge:
             return False
         left = wanders(self.parts.test, self.final.model, self.joint)
         # however many its numbers: the same in all recordings, they imitate nothing that differs
-        return _surely_more(left, max(LEFT_BY_A_LAW * first.size, SIMULATORS_DIFFER))
+        return surely_more(left, max(LEFT_BY_A_LAW * first.size, SIMULATORS_DIFFER))
 
     def _bends_what_it_stands_on(self, first: Piece) -> bool:
         return (bool(self.bent) and first.mechanism in FRICTION) or (
@@ -278,285 +258,6 @@ def _turns_a_known_one(
         and bool(kept_laws(given, final.model, joint, DRY))
         and turns_round(parts, final, piece)
     )
-
-
-def _alone(
-    given: Model,
-    final: Scored,
-    joint: int,
-    claims: Sequence[Claim],
-    more: Sequence[Claim],
-    jobs: int,
-) -> Scored:
-    """The claims alone, fitted again, with the terms restored that the refinements had replaced.
-    Refinements could be bent to what no claimed law describes.
-    """
-    needed = any(get_effect(c.term.effect).needs for c in claims)
-    rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
-
-    def stays(c: Claim) -> bool:  # as Coulomb friction, which every machine has, beside its law
-        rubs_as_any = c.mechanism == DRY and (needed or (rubs and get_effect(c.term.effect).common))
-        return rubs_as_any or any(both_needed(final, k, c) for k in claims)
-
-    terms = [c.term for c in more if not stays(c)]
-    terms = [t for t in final.model.terms if any(t is x for x in terms)]
-    if not claims or not terms:
-        return final
-    model = taken_away(given, final.model, joint, terms)
-    handles = joint_handles(final.data, model, joint)
-    return fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=1)
-
-
-def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decision:
-    """The decision without laws that are likely wrong and not surely better than their neighbours.
-    The first of them stays as a mechanism without a law, where its variables can be told from
-    others' and it explains more than it leaves. The others become refinements.
-    """
-    decision = _upon_common(decision, parts, given, jobs)
-    twin = twins(decision.claims)
-    likely = [
-        c
-        for c in decision.claims
-        if not any(c is t for t in twin) and _is_likely(c, decision, parts)
-    ]
-    likely, alone, ahead, fell = _standing(likely, decision, parts, given, jobs)
-    laws = {c.effect for c in likely if c.effect != "unknown"}
-    most = _beside_doubted(likely, fell, alone, decision, parts, given, jobs)
-    keep, more = [], list(decision.refinements)
-    doubted: set[str] = set()  # mechanisms: a law beside a doubted one may be a part of it
-    for claim in decision.claims:
-        key = id(claim)
-        why = fell.get(key) or doubt(confidence(claim, decision))
-        if claim.effect == "unknown":
-            if told_apart(claim, decision, parts, given, laws):
-                keep.append(without_law(claim, decision))
-        elif claim.mechanism not in doubted and key in ahead:
-            keep.append(replace(claim, ahead=ahead[key], most=most.get(key, 1.0)))
-        elif (
-            claim is decision.claims[0]
-            and claim.mechanism in STRUCTURED
-            and not claim.is_constant  # which is a function of any variable
-            and claim.size > decision.after.value
-            and not _turns_otherwise(claim, decision, parts)
-            and told_apart(claim, decision, parts, given, laws - {claim.effect})
-        ):
-            keep.append(replace(without_law(claim, decision), why=why))
-            doubted.add(claim.mechanism)
-        else:
-            more.append(replace(claim, why=why))
-            doubted.add(claim.mechanism)
-    keep, parts_of_it = _beside_unknown(keep, decision.after.value)
-    # beside a law of the one friction, what lacks of the other has its own name
-    rubbing = {c.mechanism for c in keep if c.effect != "unknown"} & set(FRICTION)
-    keep = [c if rubbing else by_its_variables(c, decision, parts, given) for c in keep]
-    return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
-
-
-def _standing(
-    likely: Sequence[Claim], decision: Decision, parts: Parts, given: Model, jobs: int
-) -> tuple[list[Claim], Scored, dict[int, float], dict[int, str]]:
-    """The claims whose laws stand beside one another alone, without the terms of those that fell;
-    the model with them alone; by ``id`` how far each is ahead of its neighbours; and, of those that
-    fell, the reason.
-    """
-    fell: dict[int, str] = {}
-    while True:
-        stand = [c for c in likely if id(c) not in fell]
-        alone = _without_others(stand, decision, given, jobs)
-        ahead: dict[int, float] = {}
-        for claim in (c for c in stand if c.effect != "unknown"):
-            by = _goes_on(claim, alone, decision, parts)
-            if _hid(claim, alone, decision, parts):
-                fell[id(claim)] = LEAVES_MORE
-            elif by is None:
-                fell[id(claim)] = ANOTHER
-            else:
-                ahead[id(claim)] = by
-        if len(ahead) == sum(c.effect != "unknown" for c in stand):
-            return stand, alone, ahead, fell
-
-
-def _upon_common(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decision:
-    """The decision with a doubted dry friction, where the given model has none, as the law that
-    every machine has and upon which the doubted one stands. That one becomes a refinement.
-    """
-    claims, refinements = list(decision.claims), list(decision.refinements)
-    for k, claim in enumerate(decision.claims):
-        needs = get_effect(claim.term.effect).needs
-        base = next((r for r in refinements if r.effect in needs), None)
-        if claim.effect == "unknown" or base is None or rubs(given, decision.joint):
-            continue
-        if not _is_likely(claim, decision, parts):
-            right = confidence(claim, decision)
-            laws = {base.effect: 1.0 - right, **{n: right * p for n, p in claim.laws.items()}}
-            claims[k] = replace(
-                claim, effect=base.effect, term=base.term, laws=laws, same=base.same
-            )
-            refinements[refinements.index(base)] = claim
-    if all(a is b for a, b in zip(claims, decision.claims, strict=True)):
-        return decision
-    joint = decision.joint
-    alone = _alone(given, decision.final, joint, claims, refinements, jobs)
-    bare = discrepancy(parts.test, alone.model, joint)
-    return replace(
-        decision, claims=tuple(claims), refinements=tuple(refinements), alone=alone, bare=bare
-    )
-
-
-def _beside_doubted(
-    likely: Sequence[Claim],
-    fell: Collection[int],
-    alone: Scored,
-    decision: Decision,
-    parts: Parts,
-    given: Model,
-    jobs: int,
-) -> dict[int, float]:
-    """The confidence of laws, by ``id``, that stand beside doubted ones: the confidence with and
-    without the doubted law, weighed by how likely that law is (not at all if it ``fell``).
-    """
-    sure = {
-        id(c): 0.0 if id(c) in fell else confidence(c, decision)
-        for c in decision.claims
-        if c.effect != "unknown"
-    }
-    firm = [c for c in likely if sure.get(id(c), 1.0) > STATED_BESIDE]
-    doubted = [sure.get(id(c), 1.0) for c in decision.claims if not any(c is f for f in firm)]
-    laws = [c for c in firm if id(c) in sure]
-    if not laws or not doubted:
-        return {}
-    whole = len(firm) == len(likely)
-    firmly = alone if whole else _without_others(firm, decision, given, jobs)
-    left = discrepancy(parts.test, firmly.model, decision.joint)
-    harder = replace(decision, bare=max(left, decision.bare, key=lambda size: size.low))
-    right = min(doubted)
-    return {id(c): right * sure[id(c)] + (1.0 - right) * confidence(c, harder) for c in laws}
-
-
-def _is_likely(claim: Claim, decision: Decision, parts: Parts) -> bool:
-    """Whether a law is likely enough to be named."""
-    return (
-        claim.effect == "unknown"
-        or stated(claim, decision)
-        or (
-            confidence(claim, decision) > STATED_ALONE
-            and SURE < _ahead(claim, decision.alone, parts) < math.inf
-        )
-        or _behind_a_transmission(claim, decision, parts)
-    )
-
-
-def _without_others(claims: Sequence[Claim], decision: Decision, given: Model, jobs: int) -> Scored:
-    """Some of the claims by themselves."""
-    rest = [c for c in decision.claims if not any(c is k for k in claims)]
-    if not claims or not rest:
-        return decision.alone
-    others = [*decision.refinements, *rest]
-    return _alone(given, decision.final, decision.joint, claims, others, jobs)
-
-
-def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bool:
-    """Whether a load behind a transmission explains most of the missing torque, and that is no
-    function of the state. Only a load with motion of its own does this, however freely its numbers
-    can be bent; or a sine in time, on which the observer keeps a load that hardly damps.
-    """
-    if get_effect(claim.effect).family != "transmission":
-        return False
-    model, joint = decision.base.model, decision.joint
-    least = PREDICTED * decision.before.value**2
-    if not decision.after.value**2 < (1.0 - PREDICTED) * decision.before.value**2:
-        return False
-    state = structure(parts.each, model, joint, STRUCTURED)
-    return state.share < PREDICTED and periodic(parts.held, model, joint) ** 2 < least
-
-
-def _hid(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> bool:
-    """Whether terms that are not stated hid what a law leaves over its own variables; not where one
-    of them stands upon it, as a doubted Stribeck curve does upon Coulomb friction.
-    """
-    others = (*decision.refinements, *decision.claims)
-    upon = any(claim.effect in get_effect(c.term.effect).needs for c in others)
-    if claim.mechanism not in STRUCTURED or upon or alone is decision.final:
-        return False
-    bare = structure(
-        parts.each, alone.model, decision.joint, [claim.mechanism], claim.mechanism != DRY
-    )
-    allowed = math.hypot(law_leaves(claim.size, [claim.term]), decision.known.of_state)
-    return _surely_more(bare, max(allowed, SIMULATORS_DIFFER))
-
-
-def _goes_on(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> float | None:
-    """The standard deviations by which a law predicts better than its neighbours. None where that
-    is less sure than a law has to be; for one that every machine has, or a constant, where a
-    neighbour surely predicts better.
-    """
-    effect = get_effect(claim.effect)
-    if claim.mechanism not in STRUCTURED:
-        return math.inf
-    ahead = _ahead(claim, alone, parts)
-    plain = effect.common or effect.constant
-    if ahead <= -PLAIN or not (plain or likely_enough(claim.effect, ahead, decision)):
-        return None
-    return math.inf if plain else ahead
-
-
-def _ahead(claim: Claim, alone: Scored, parts: Parts) -> float:
-    """The standard deviations by which a function of the state predicts better than its neighbours;
-    -inf for a mechanism that is no function of the state.
-    """
-    if claim.mechanism not in STRUCTURED:
-        return -math.inf
-    joint = claim.term.joint
-    term = counterpart(alone.model.at(joint), claim.term)
-    turning = claim.mechanism != DRY
-    return against_neighbours(together(*parts.each), alone, term, joint, LAW_ERROR, turning)
-
-
-def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
-    """Whether a known dry friction only acts differently at reversals: nothing is missing while the
-    joint moves.
-    """
-    if claim.mechanism != DRY or not rubs(decision.base.model, decision.joint):
-        return False
-    model = decision.base.model
-    moving = structure(parts.each, model, decision.joint, [DRY], turning=False)
-    return moving.size < OF_STATE or moving.z < SURE
-
-
-def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], list[Claim]]:
-    """The claims, and those that become refinements beside a mechanism without a law. A claim no
-    larger than half of it may be a part of it. A constant, or what repeats along the position, is
-    always a part of a curve over position. Where nothing is ``left``, only claims over the same
-    variables are a part of it.
-    """
-    without = [c for c in claims if c.effect == "unknown"]
-    unknown = max((c.size for c in without), default=0.0)
-    kinds = {m for c in without for m in kind_of(c.mechanism)}
-    curve = any(draws_a_curve(c) for c in claims)
-
-    def large(claim: Claim) -> bool:
-        tells = claim.mechanism in STRUCTURED and claim.mechanism not in kinds
-        apart = left < SIMULATORS_DIFFER and tells
-        return claim.size > (LAW_ERROR if apart else A_PART) * unknown
-
-    def of_position(claim: Claim) -> bool:
-        effect = get_effect(claim.effect)
-        return effect.constant or "order" in effect.names
-
-    keep = [
-        c for c in claims if c.effect == "unknown" or (large(c) and not (curve and of_position(c)))
-    ]
-    return keep, [c for c in claims if not any(c is k for k in keep)]
-
-
-def _surely_more(left: Structure, allowed: float) -> bool:
-    """Whether the remaining torque has more energy than allowed, by two standard deviations. One
-    that acts seldom gains in few blocks, but not by chance.
-    """
-    if left.size <= allowed:
-        return False
-    more = 1.0 - (allowed / left.size) ** 2
-    return left.z * more > PLAIN or left.apart * more > BY_CHANCE
 
 
 def _ranked(

@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.thresholds import (
     RIVAL,
     SIMULATORS_DIFFER,
     STATED_ALONE,
-    STEPS,
+    STEEP,
     SURE,
 )
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
@@ -74,7 +74,7 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
     of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
     steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY] and not _rises(given, decision)
     name = DRY if steps else FLUID
-    claim = replace(claim, most=min(claim.most, STEPS if name == DRY else 1.0))
+    claim = replace(claim, most=min(claim.most, STEEP if name == DRY else 1.0))
     if name == claim.mechanism:
         return claim
     return replace(claim, mechanism=name, laws={"unknown": 1.0})

@@ -27,7 +27,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     SIMULATORS_DIFFER,
     STATED_ALONE,
-    STEPS,
+    STEEP,
     SURE,
     TOLERANCE,
 )
@@ -152,7 +152,7 @@ def _unknown(
         f"A torque that depends on the {what} of joint {joint}{besides} is missing,"
         f" {percent(claim.size)} % of its torque; {_nearest(claim, decision)}."
     )
-    if claim.mechanism == DRY and claim.most <= STEPS:
+    if claim.mechanism == DRY and claim.most <= STEEP:
         text += " It is dry friction, or a fluid friction that rises as steeply from standstill."
     if decision.strap and claim.mechanism == "position_torque":
         text = _pulled(decision, claim)

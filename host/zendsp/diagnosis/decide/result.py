@@ -28,7 +28,7 @@ from zendsp.diagnosis.decide.contract import (
     two_digits,
 )
 from zendsp.diagnosis.decide.headline import verdict_sentence, word_of
-from zendsp.diagnosis.decide.thresholds import STEPS
+from zendsp.diagnosis.decide.thresholds import STEEP
 from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
@@ -98,7 +98,7 @@ class Finding:
     @property
     def word(self) -> str:
         """The mechanism in plain words: both frictions where it is not surely one of them."""
-        unsure = self.effect == "unknown" and self.confidence <= STEPS
+        unsure = self.effect == "unknown" and self.confidence <= STEEP
         mechanism = "friction" if unsure and self.mechanism == DRY else self.mechanism
         return word_of(mechanism, (self.effect, *self.indistinguishable))
 
