@@ -269,7 +269,7 @@ def test_a_body_is_named_before_the_laws_that_were_found_beside_it(
     monkeypatch.setattr(naming, "body_finding", lambda *_: SimpleNamespace(effect="payload"))
     law = SimpleNamespace(effect="stiffness", parameters={})
     monkeypatch.setattr(naming, "_finding", lambda *_: law)
-    monkeypatch.setattr(naming, "_numbers", lambda *_: {})
+    monkeypatch.setattr(naming, "numbers_of", lambda *_: {})
     monkeypatch.setattr(naming, "is_no_law", lambda *_: False)
     monkeypatch.setattr(naming, "shifted", lambda *_: ())
     monkeypatch.setattr(naming, "at_once", lambda _: ())

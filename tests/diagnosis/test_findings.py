@@ -17,18 +17,18 @@ from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.findings import estimates, sentence
-from zendsp.diagnosis.decide.naming import (
-    _agreed_on,
-    _numbers,
-    _same,
+from zendsp.diagnosis.decide.naming import _same
+from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load, _late_log
+from zendsp.diagnosis.decide.result import Estimate
+from zendsp.diagnosis.decide.stated_numbers import (
+    agreed_on,
     between,
     is_no_law,
     may_be_nothing,
+    numbers_of,
     one_number,
     runs_out,
 )
-from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load, _late_log
-from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.engine import _ready
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.measure.structure import Structure
@@ -117,7 +117,7 @@ def test_what_stays_unexplained_widens_an_interval_only_as_a_function_of_the_sta
     decision = replace(
         of_one_claim(claim, 0.02, 0.01, base), state=Structure(of_state, 0.5, 5.0)
     )
-    found = _numbers(given, decision, whole, claim)["coefficient"]
+    found = numbers_of(given, decision, whole, claim)["coefficient"]
     assert found.std == pytest.approx(relative * 2.0, rel=0.01)
 
 
@@ -301,7 +301,7 @@ def test_a_weight_is_known_where_only_its_angle_is_open(along: float, sure: bool
     values = {key: Estimate(q.value, float(s), "") for (key, q), s in pairs}
     claim: Any = SimpleNamespace(effect="gravity", term=term)
     whole: Any = SimpleNamespace(agreed={1: fit})
-    assert (_agreed_on(whole, claim, 1, values) > 0.99) is sure
+    assert (agreed_on(whole, claim, 1, values) > 0.99) is sure
 
 
 @pytest.mark.parametrize(("time", "refines"), [(136e-6, True), (150e-6, False)])
