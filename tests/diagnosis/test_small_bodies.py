@@ -19,7 +19,7 @@ from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.report import summary
 from zendsp.diagnosis.search import bodies, body_numbers
-from zendsp.diagnosis.search.body_columns import _frictions
+from zendsp.diagnosis.search.body_columns import NUISANCE, _frictions
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.model import Model
@@ -232,3 +232,18 @@ def test_numbers_that_no_machine_has_are_not_gone_on_with(monkeypatch: pytest.Mo
     assert values[0] == pytest.approx(-0.3)
     one: Any = Solver()
     assert body_numbers.known_by(one, one, first, values)[1][0] == pytest.approx(-0.3)
+
+
+def test_a_joint_that_is_predicted_to_the_last_digit_outweighs_no_other() -> None:
+    """A short recording of an ideal arm ended the diagnosis: what was left of a joint was 0."""
+    grams = np.zeros((2, 8, NUISANCE + 2, NUISANCE + 2))
+    grams[:, :, NUISANCE:, NUISANCE:] = [[1.0, 1.0], [1.0, 1.0]]  # innovations: the column
+    grams[1, :, -1, -1] += 1.0
+    both: Any = SimpleNamespace(
+        grams=grams, whole=grams.sum(axis=1), counts=np.full((2, 8), 1e6), alike=1
+    )
+    layout: Any = SimpleNamespace(joints=2, width=NUISANCE + 1, own=NUISANCE + 1)
+    body, nothing = np.zeros((2, NUISANCE + 1)), np.zeros((2, NUISANCE + 1))
+    body[:, NUISANCE] = -1.0
+    solver = Solver(both, both, layout, LIMITS)
+    assert np.isfinite(solver.better(body, nothing)) and solver.better(body, nothing) > LIMITS.sure

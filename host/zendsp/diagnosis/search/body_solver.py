@@ -14,6 +14,8 @@ from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, Hyp
 
 Array = npt.NDArray[np.float64]
 
+EXACT = 1e-14  # of a joint's innovations: what is left below is the rounding of their sums
+
 
 class Solver:
     """Linear fits of hypotheses to the recordings of the fit, and their evidence on those to choose
@@ -249,7 +251,9 @@ class Solver:
         full = self._full(x, self.chosen)
         apart = self._full(other, self.chosen) - full
         force = np.einsum("jkab,jb->jka", self.choose.grams, apart)
-        weight = self.choose.counts.sum(axis=1) / np.maximum(self.squares(x), 1e-300)
+        energy = self.choose.whole[:, -1, -1]
+        least = np.where(energy > 0.0, EXACT * energy, np.inf)
+        weight = self.choose.counts.sum(axis=1) / np.maximum(self.squares(x), least)
         squares = np.einsum("j,jka,ja->k", weight, force, apart)
         slope = np.einsum("j,jka,ja->k", weight, force, full)
         whole = float(squares.sum())
