@@ -20,6 +20,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     RIVAL,
     SIMULATORS_DIFFER,
+    SOFT,
     STATED_ALONE,
     STEEP,
     SURE,
@@ -66,7 +67,7 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
 def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Model) -> Claim:
     """A friction without a law as dry or fluid, by the variables that predict it beside what
     calibration absorbed: fluid where no step at standstill is needed, which reversals show. A
-    steep rise looks like a step, so dry is less sure.
+    steep rise looks like a step, and a soft step like none, so neither is sure.
     """
     if claim.effect != "unknown" or claim.mechanism not in FRICTION:
         return claim
@@ -74,7 +75,7 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
     of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
     steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY] and not _rises(given, decision)
     name = DRY if steps else FLUID
-    claim = replace(claim, most=min(claim.most, STEEP if name == DRY else 1.0))
+    claim = replace(claim, most=min(claim.most, STEEP if name == DRY else SOFT))
     if name == claim.mechanism:
         return claim
     return replace(claim, mechanism=name, laws={"unknown": 1.0})
