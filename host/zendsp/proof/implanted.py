@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from zendsp.proof.draft import Array
 
@@ -47,6 +46,8 @@ class Motion:
 
 def middle_motion(t: Array, q: Array) -> tuple[Array, Array, Array]:
     """Position, velocity and acceleration in the middle of each hold interval, without phase."""
+    from scipy.signal import butter, sosfiltfilt  # takes two seconds, here where it is used
+
     dt = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1] + dt, dt)
     sos = butter(4, min(CUTOFF_HZ, OF_RATE / dt), fs=1 / dt, output="sos")

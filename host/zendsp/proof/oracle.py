@@ -11,8 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
-from scipy.signal import lfilter
 
 from zendsp.proof.draft import Array, Draft, Scale
 from zendsp.proof.given import TRUTH, feature, inertial_torque
@@ -115,6 +113,8 @@ class Judge:
 
     def measure(self, rest: Array) -> Visibility:
         """Visibility of a torque that is left over."""
+        from scipy.signal import lfilter  # takes two seconds, here where a case is made
+
         e = lfilter(self.numerator, self.denominator, rest)
         ratio = 1.0 + float(np.mean(e**2)) / self.variance
         share = float(np.sqrt(np.mean(rest**2))) / self.scale.torque
@@ -137,6 +137,8 @@ def steady_observer(
     """The same for a position noise of variance `noise` and a torque noise of deviation `sigma` per
     sample.
     """
+    from scipy.linalg import solve_discrete_are
+
     a = np.array([[1.0, dt], [0.0, 1.0]])
     b = np.array([[0.5 * dt**2], [dt]]) / inertia
     c = np.array([[1.0, 0.0]])

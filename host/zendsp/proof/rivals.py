@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from zendsp.proof.draft import Array, Draft, Scale
 from zendsp.proof.mechanisms import NEEDLESS
@@ -160,6 +159,8 @@ def remainder(judge: Judge, rival: Rival) -> float:
     if len(rival.grid) < 3 or scores[best] < DETECTABLE:
         return scores[best]
     low, high = rival.grid[max(best - 1, 0)], rival.grid[min(best + 1, len(rival.grid) - 1)]
+    from scipy.optimize import minimize_scalar  # takes a second, here where it is used
+
     found = minimize_scalar(at, bounds=(low, high), method="bounded", options={"maxiter": 12})
     return float(min(scores[best], found.fun))
 
