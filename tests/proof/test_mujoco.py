@@ -135,7 +135,7 @@ def test_gravity_is_not_concealed_where_there_is_none() -> None:
 
 def test_what_is_concealed_acts_with_the_size_that_was_asked_for() -> None:
     """A spring of a tenth of the torque moves the torque along the motion by a tenth of it."""
-    b, _ = bench("mj_cart", 3, 5.0)
+    b, _ = bench("mj_cart", 3)
     b.fixed = True  # nothing may absorb it but friction
     s = make.scales_of(b, simulate(b, b.train_shape, np.random.default_rng(2)))[0]
     MAKERS["stiffness"](b, 0, s, 0.1, np.random.default_rng(1))
@@ -157,7 +157,7 @@ def test_lugre_slides_at_its_level_and_holds_at_rest() -> None:
 
 
 def test_foreign_forms_are_sized_and_parts_too() -> None:
-    b, record = bench("mj_joint", 12, 4.0)
+    b, record = bench("mj_joint", 12)
     scales = make.scales_of(b, record)
     for name in ("sin3tanh", "wall", "memory"):
         changed = copy.deepcopy(b)
