@@ -11,6 +11,7 @@ from zendsp.errors import LinkError
 from zendsp.extras import need
 
 log = logging.getLogger(__name__)
+ANSWER_S = 10.0  # a scheduler has to answer
 LOOK_S = 10.0  # interval of checks on the workers
 
 
@@ -37,11 +38,11 @@ def connect(address: str) -> Any:
     """
     dask = need("distributed", "fleet", "--scheduler")
     try:
-        client = dask.Client(address, timeout="10s")
+        client = dask.Client(address, timeout=ANSWER_S)
     except (OSError, TimeoutError, ValueError) as error:
         raise LinkError(
-            f"no Dask scheduler answers at {address!r} within 10 s ({error}); start one with `dask"
-            " scheduler`"
+            f"no Dask scheduler answers at {address!r} within {ANSWER_S:g} s ({error}); start one"
+            " with `dask scheduler`"
         ) from error
     if not client.scheduler_info()["workers"]:
         client.close()
