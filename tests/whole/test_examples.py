@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import importlib.util
 import pkgutil
+from pathlib import Path
 
 import pytest
 
 PACKAGES = ("zendsp", "zendsp_target", "zendsp_protocol", "zendsp_isr")
+
+
+def has_examples(name: str) -> bool:
+    """Whether a module may have any, its own or of what it calls its own: to look for them in all
+    objects of one that has none takes 20 ms, and there are 600.
+    """
+    found = importlib.util.find_spec(name)
+    assert found is not None and found.origin is not None
+    source = Path(found.origin).read_text()
+    return ">>>" in source or "__module__" in source
 
 
 def modules() -> list[str]:
@@ -39,7 +51,7 @@ def test_examples_of_docstrings_are_true(
     monkeypatch.chdir(tmp_path_factory.mktemp("examples"))
     tried, wrong = 0, []
     for name in MODULES:
-        if name.partition(".")[0] == package:
+        if name.partition(".")[0] == package and has_examples(name):
             result = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
             tried += result.attempted
             wrong += [name] * bool(result.failed)
