@@ -11,7 +11,7 @@ import pytest
 import reality
 from reality import FAST, KNOWN, RATE
 
-from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis import Diagnosis, diagnose, engine
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch
@@ -59,7 +59,17 @@ def recorded(tmp_path: Path, seconds: tuple[float, float]) -> Callable[..., list
 
 
 @pytest.fixture
-def decided(tmp_path: Path, recorded: Callable[..., list[Path]]) -> Callable[..., Diagnosis]:
+def sizes_unasked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What could have been seen is asked after all is decided, and takes a fifth of a diagnosis:
+    test_detectable.py asks for it.
+    """
+    monkeypatch.setattr(engine, "detectable", lambda *_: ())
+
+
+@pytest.fixture
+def decided(
+    tmp_path: Path, recorded: Callable[..., list[Path]], sizes_unasked: None
+) -> Callable[..., Diagnosis]:
     """Diagnose run1.csv of a machine, with run2.csv of another or the same one held out."""
 
     def run(fit: reality.Machine, held: reality.Machine | None = None, *effects: str) -> Diagnosis:
@@ -123,7 +133,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Diagnosis]:
                 reality.save(folder / f"{k}.csv", reality.simulate(machine, motion, rate, k))
                 for k, motion in enumerate(motions, 1)
             )
-            done[case] = diagnose(train, model, held, jobs=1)
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(engine, "detectable", lambda *_: ())  # as `sizes_unasked`
+                done[case] = diagnose(train, model, held, jobs=1)
         return done[case]
 
     return run

@@ -5,6 +5,7 @@ that the given model may lack.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,10 @@ LINKS = (  # name, place, axis, mass, centre, inertia
 # a wrist that weighs something and has no inertia about its axis, as files often have it
 WRIST = (*LINKS[:2], ("fore", "0.4 0 0", "1 0 0", 0.5, "0.04 0 0", 0.0))
 
+# Ends of the strap: on the forearm, and on the base, m; and the product across the first
+TIED, BASE_TIED = np.array([0.2, 0.0, 0.05]), np.array([0.25, -0.1, 0.1])
+ACROSS_TIED = np.cross(TIED, np.eye(3), axisb=0, axisc=0)
+
 
 def urdf(links: tuple[tuple[str, str, str, float, str, float], ...]) -> str:
     parts, parent = ['<robot name="arm"><link name="base"/>'], "base"
@@ -46,7 +51,7 @@ def urdf(links: tuple[tuple[str, str, str, float, str, float], ...]) -> str:
     return "".join([*parts, "</robot>"])
 
 
-@dataclass
+@dataclass(frozen=True)
 class Arm:
     """What is true and not in the given model."""
 
@@ -69,20 +74,26 @@ def pulled(arm: Arm, model: Any, data: Any, q: np.ndarray) -> np.ndarray:
     """Torques of the strap, N m."""
     import pinocchio as pin
 
-    jacobian = pin.computeJointJacobian(model, data, q, 3)
+    jacobian = pin.computeJointJacobian(model, data, q, 3)  # in the frame of the forearm
     pin.forwardKinematics(model, data, q)
-    turned = data.oMi[3].rotation @ np.array([0.2, 0.0, 0.05])
-    away = data.oMi[3].translation + turned - np.array([0.25, -0.1, 0.1])
+    there = data.oMi[3]
+    away = there.translation + there.rotation @ TIED - BASE_TIED
     long = float(np.linalg.norm(away))
-    slides, turns = (data.oMi[3].rotation @ part for part in (jacobian[:3], jacobian[3:]))
-    moves = slides - np.cross(turned, turns, axisb=0, axisc=0)
-    return -arm.strap * max(long - 0.25, 0.0) / long * away @ moves
+    pull = -arm.strap * max(long - 0.25, 0.0) / long * away @ there.rotation
+    return np.concatenate([pull, ACROSS_TIED @ pull]) @ jacobian
 
 
 def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]:
-    """Columns t, q, u of a loop with gravity compensation of the given model; semi-implicit Euler
-    at 2 kHz.
+    """Columns t, q, u of a loop with gravity compensation of the given model, the caller's own;
+    semi-implicit Euler at 2 kHz.
     """
+    table = _simulated(arm, seed, seconds).copy()
+    return {"t": table[:, 0], "q": table[:, 1:4], "u": table[:, 4:]}
+
+
+@cache
+def _simulated(arm: Arm, seed: int, seconds: float) -> np.ndarray:
+    """Rows of t, q, u, made once a session."""
     import pinocchio as pin
 
     given = pin.buildModelFromXML(urdf(arm.links))
@@ -102,18 +113,18 @@ def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]
     kp = np.array([60.0, 90.0, 40.0])
     kd = np.array([8.0, 12.0, 4.0])
     gain = np.array([1.0, arm.gain, 1.0])
-    h = 1.0 / RATE / SUB
+    h, shaken = 1.0 / RATE / SUB, [j + 1 != arm.held for j in range(3)]
     q = np.array([0.0, 0.6, -0.9]) + (size * np.sin(phase)).sum(1)
     if arm.held:
         q[arm.held - 1] = RESOLUTION * 1000
     v = np.zeros(3)
     motor, turns = q[2], 0.0
     last, rows = q.copy(), []
-    for k in range(int(seconds * RATE)):
-        t = k / RATE
-        goal = np.array([0.0, 0.6, -0.9]) + (size * np.sin(2 * np.pi * f * t + phase)).sum(1)
-        seen = np.array([q[0], q[1], motor if arm.spring else q[2]])
-        noise = r.normal(0, RESOLUTION / 3, 3) * [j + 1 != arm.held for j in range(3)]
+    times = np.arange(int(seconds * RATE)) / RATE
+    waves = np.sin(2 * np.pi * f * times[:, None, None] + phase)
+    for t, goal in zip(times, np.array([0.0, 0.6, -0.9]) + (size * waves).sum(2), strict=True):
+        seen = np.array([q[0], q[1], motor]) if arm.spring else q
+        noise = r.normal(0, RESOLUTION / 3, 3) * shaken
         y = arm.counts * np.round((seen + noise) / arm.counts)
         u = pin.computeGeneralizedGravity(given, plan, y) + kp * (goal - y) - kd * (y - last) * RATE
         last = y
@@ -129,8 +140,7 @@ def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]
                 free[2] = bent
             v = v + h * pin.aba(true, data, q, v, free)
             q = q + h * v
-    table = np.array(rows)
-    return {"t": table[:, 0], "q": table[:, 1:4], "u": table[:, 4:]}
+    return np.array(rows)
 
 
 def recorded(

@@ -142,6 +142,7 @@ def test_a_rotor_that_calibration_moves_by_what_a_link_may_weigh_is_noted(
     assert bool(notes) == noted and all("0.1 to 0.115" in n and "payload" in n for n in notes)
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 @pytest.mark.parametrize("stated, named", [(0.21, True), (0.285, False)])
 def test_a_rotor_that_is_a_third_off_is_named_and_one_within_its_tolerance_is_not(record,
     stated: float, named: bool) -> None:  # type: ignore[no-untyped-def]
@@ -156,6 +157,7 @@ def test_a_rotor_that_is_a_third_off_is_named_and_one_within_its_tolerance_is_no
         assert {"body", "payload"} <= set(f.indistinguishable)
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_rotors_that_a_file_lacks_are_named_beside_a_link_without_inertia(record) -> None:  # type: ignore[no-untyped-def]
     """Without its rotor the wrist diverges in any simulation, and an observer sees only its
     damping.

@@ -84,7 +84,8 @@ def test_a_joint_may_rest_in_recordings_where_others_move(record, tmp_path: Path
 def test_a_body_too_small_to_be_proposed_is_remembered_and_can_be_taken(record) -> None:  # type: ignore[no-untyped-def]
     """Behind a coarse encoder a centre of mass 3 cm off had hidden in the joints' free constants.
     """
-    none = replace(LIMITS, part=2.0, clear=1e3)  # no explanation is large enough
+    # no explanation is large enough, and slower observers are not asked
+    none = replace(LIMITS, part=2.0, clear=1e3, slowest=LIMITS.bandwidth)
     for arm, name in ((Arm(mass=1.5), "payload"), (Arm(), "none")):
         model, _ = made = record(name, arm)
         fit, choose = prepared(made)
@@ -249,6 +250,7 @@ def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch,
     assert ("payload", 3) in {(r.effect, r.joint) for r in d.rejected}
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
     tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     model, paths = record("payload", Arm(mass=1.5), True)

@@ -22,6 +22,7 @@ from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.model_write import model_text
 
 Decided = Callable[..., Diagnosis]
+pytestmark = pytest.mark.usefixtures("sizes_unasked")
 
 
 def test_what_only_the_recordings_of_the_fit_show_is_not_claimed(decided: Decided) -> None:

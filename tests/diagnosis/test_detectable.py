@@ -25,6 +25,11 @@ from zendsp.physics.model import Quantity, Term
 Decided = Callable[..., Diagnosis]
 
 
+@pytest.fixture
+def sizes_unasked() -> None:
+    """They are asked for here."""
+
+
 @pytest.mark.usefixtures("searched_once")
 @pytest.mark.parametrize(
     ("number", "none", "effect"),

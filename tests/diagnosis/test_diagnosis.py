@@ -177,6 +177,7 @@ def test_a_known_friction_that_creeps_is_no_missing_physics_and_hides_none(
     assert found.parameters["amplitude"].value == pytest.approx(0.006, rel=0.05)
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(
     tmp_path: Path,
 ) -> None:
@@ -251,6 +252,7 @@ def test_a_number_that_calibration_moves_far_is_reported(run: Run) -> None:
     assert not any("calibration moves" in n for n in d.notes)
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_several_recordings_are_fitted_jointly(tmp_path: Path) -> None:
     machine = reality.Machine()
     files = [
@@ -335,6 +337,7 @@ def test_file_that_defines_no_effect_is_refused(
     assert status == 2 and "none.py" in err
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_a_drafted_model_of_joints_of_unlike_inertia_leads_to_their_friction(
     tmp_path: Path,
 ) -> None:

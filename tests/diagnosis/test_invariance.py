@@ -95,6 +95,7 @@ CASES = [
 ]
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 @pytest.mark.parametrize(("name", "change"), CASES)
 def test_nothing_that_is_found_changes_with(
     name: str, change: str, bench: Callable[..., Diagnosis], tmp_path: Path

@@ -43,8 +43,9 @@ def test_a_joint_homed_elsewhere_is_told_from_every_body(by: float, tmp_path: Pa
 @pytest.mark.parametrize(
     "arm", [Arm(), Arm(mass=1.5), Arm(heavier=0.5), Arm(shifted=0.03), Arm(tilt=0.035)]
 )
-def test_a_wrong_body_is_no_joint_homed_elsewhere(arm: Arm, tmp_path: Path) -> None:
-    assert bool(searched(recorded(tmp_path, "arm", arm, friction=True)).found) == (arm != Arm())
+def test_a_wrong_body_is_no_joint_homed_elsewhere_and_no_strap(arm: Arm, tmp_path: Path) -> None:
+    search = searched(recorded(tmp_path, "arm", arm, friction=True))
+    assert len(search.found) == (arm != Arm()) and search.strap is None
 
 
 def test_the_last_links_centre_across_it_may_be_the_joints_zero(tmp_path: Path) -> None:
@@ -71,6 +72,7 @@ def test_zeros_that_do_not_settle_end_with_a_sentence(
         zendsp.diagnose(str(tmp_path / "arm1.npz"), tmp_path / "model.toml", jobs=1)
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_a_diagnosis_is_made_with_the_zeros_that_the_recordings_have(tmp_path: Path) -> None:
     homed_elsewhere(tmp_path, 0.0, 0.05, -0.08)
     paths = [str(tmp_path / f"zero{k}.npz") for k in (1, 2)]

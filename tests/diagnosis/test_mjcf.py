@@ -118,6 +118,7 @@ def test_nothing_is_missing_from_the_model_that_was_simulated(diagnosed) -> None
     assert (d.verdict, names(d)) == ("complete", set()), d
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_friction_of_all_joints_is_found_and_written_as_frictionloss(diagnosed) -> None:  # type: ignore[no-untyped-def]
     d, folder = diagnosed("friction", xml(dry=0.6), xml())
     assert names(d) == {("coulomb", 1), ("coulomb", 2)}, d
@@ -130,6 +131,7 @@ def test_friction_of_all_joints_is_found_and_written_as_frictionloss(diagnosed) 
     assert (again.verdict, names(again)) == ("complete", set()), again
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_wrong_damping_is_calibrated_or_named_and_nothing_else_is(diagnosed) -> None:  # type: ignore[no-untyped-def]
     d, folder = diagnosed("viscous", xml(viscous=1.5), xml())
     assert names(d) <= {("viscous", 1)}, d
@@ -176,6 +178,7 @@ def test_a_payload_is_one_body_by_mujocos_name_and_goes_into_the_mjcf(diagnosed)
     assert (again.verdict, names(again)) == ("complete", set()), again
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_a_slide_joint_is_in_newton_and_metres(diagnosed) -> None:  # type: ignore[no-untyped-def]
     motor = '<motor joint="reach"/>'
     dry = SLIDE.replace('damping="4"', 'damping="4" frictionloss="2.5"')
@@ -195,6 +198,7 @@ def test_a_slide_joint_is_in_newton_and_metres(diagnosed) -> None:  # type: igno
     assert re.search(r"untouched recordings, joints 3, 4, 5, 6 +\d", summary(many)), summary(many)
 
 
+@pytest.mark.usefixtures("sizes_unasked")
 def test_the_set_value_of_a_servo_is_not_taken_for_a_torque(diagnosed) -> None:  # type: ignore[no-untyped-def]
     servos = '<position joint="shoulder" kp="150" kv="14"/><position joint="elbow" kp="60" kv="5"/>'
 

@@ -23,6 +23,7 @@ from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts
 
 Decided = Callable[..., Diagnosis]
+pytestmark = pytest.mark.usefixtures("sizes_unasked")
 
 
 @pytest.fixture
@@ -94,6 +95,7 @@ def test_where_cutting_out_all_pushes_leaves_too_little_only_the_largest_is_cut_
     assert passes == ["all", machine.Parts(["fit"], ["choose"], ["test"])]  # type: ignore[arg-type]
 
 
+@pytest.mark.usefixtures("searched_once")
 def test_what_a_diverging_model_lacks_is_no_push(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,24 +119,20 @@ def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:
     assert rms.value <= peak.value and 0.0 < rms.std < 0.02
 
 
-def test_a_push_where_another_load_explains_as_much_is_noted_with_its_times(
+@pytest.mark.usefixtures("searched_once")
+def test_a_small_push_is_a_finding_or_noted_with_its_times_where_another_load_explains_as_much(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A push of 5 % of the torque for 2 s was "unexplained" beside a note that told its time."""
+    machines = [reality.Machine(push=(0.007, at, at + 2.0)) for at in (2.0, 6.5)]
+    assert [f.effect for f in decided(*machines).findings] == ["disturbance"]
     monkeypatch.setattr(decide, "by_own_numbers", lambda *_: ("run1.csv",))
-    d = decided(reality.Machine(push=(0.007, 2.0, 4.0)), reality.Machine(push=(0.007, 6.5, 8.5)))
+    d = decided(*machines)
     assert not d.findings
     (told,) = (note for note in d.notes if "no state explains" in note)
     assert told.startswith("joint 1: a torque of up to 0.00") and told.endswith("touched?")
     spans = [[float(a), float(b)] for a, b in re.findall(r"([\d.]+)–([\d.]+) s", told)]
     assert np.array(spans) == pytest.approx(np.array([[2.0, 4.0], [6.5, 8.5]]), abs=0.3)
-
-
-def test_a_small_push_is_a_finding_where_the_model_is_not_complete_without_it(
-    decided: Decided
-) -> None:
-    """A push of 5 % of the torque for 2 s was "unexplained" beside a note that told its time."""
-    d = decided(reality.Machine(push=(0.007, 2.0, 4.0)), reality.Machine(push=(0.007, 6.5, 8.5)))
-    assert [f.effect for f in d.findings] == ["disturbance"]
 
 
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])

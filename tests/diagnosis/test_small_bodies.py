@@ -44,28 +44,36 @@ def least(made: tuple[Model, list[Path]], left: float = LEFT, claims: Any = ()) 
     return {(x.effect, x.joint): x for x in found}
 
 
-def test_a_payload_of_the_size_that_is_stated_is_found_and_a_tenth_of_it_is_not(record) -> None:  # type: ignore[no-untyped-def]
-    stated = least(record("none", Arm()))[("payload", 3)]
+@pytest.fixture(scope="module")
+def sizes(record) -> Any:  # type: ignore[no-untyped-def]
+    """Of an arm from which nothing but friction is missing; tests only read them."""
+    return least(record("none", Arm()))
+
+
+def test_a_payload_of_the_size_that_is_stated_is_found_and_a_tenth_of_it_is_not(  # type: ignore[no-untyped-def]
+    record, sizes: Any
+) -> None:
+    stated = sizes["payload", 3]
     assert stated.mechanism == "inertia" and stated.unit == "kg" and 0.01 <= stated.share < 0.3
     for part, name in ((1.0, "as_large"), (0.1, "a_tenth")):
         made = record(name, Arm(mass=part * stated.size, com=(0.3, 0.1, 0.0)))
         assert bool(searched(made).found) == (part == 1.0)
 
 
-def test_a_tilt_and_links_masses_are_stated_where_some_joint_feels_them(record) -> None:  # type: ignore[no-untyped-def]
-    stated = least(record("none", Arm()))
-    assert {key for key in stated if key[0] == "base_tilt"} == {("base_tilt", 1)}
-    assert stated["base_tilt", 1].unit == "rad" and stated["base_tilt", 1].size < 0.1
+def test_a_tilt_and_links_masses_are_stated_where_some_joint_feels_them(  # type: ignore[no-untyped-def]
+    record, sizes: Any
+) -> None:
+    assert {key for key in sizes if key[0] == "base_tilt"} == {("base_tilt", 1)}
+    assert sizes["base_tilt", 1].unit == "rad" and sizes["base_tilt", 1].size < 0.1
     # the first link turns about the vertical on the axis, and its mass is felt by nothing
-    assert ("body", 1) not in stated and ("body", 2) in stated
-    tilted = record("tilted", Arm(tilt=stated["base_tilt", 1].size))
+    assert ("body", 1) not in sizes and ("body", 2) in sizes
+    tilted = record("tilted", Arm(tilt=sizes["base_tilt", 1].size))
     assert [f.term.effect for f in searched(tilted).found] == ["base_tilt"]
 
 
-def test_only_what_is_larger_than_the_unexplained_torque_would_be_found(record) -> None:  # type: ignore[no-untyped-def]
-    made = record("none", Arm())
-    little, much = (least(made, left)["payload", 3].size for left in (LEFT, 20 * LEFT))
-    assert much > 1.5 * little
+def test_only_what_is_larger_than_the_unexplained_torque_would_be_found(record, sizes: Any) -> None:  # type: ignore[no-untyped-def]
+    much = least(record("none", Arm()), 20 * LEFT)
+    assert much["payload", 3].size > 1.5 * sizes["payload", 3].size
 
 
 def test_a_body_that_was_found_is_not_told_as_missed(record) -> None:  # type: ignore[no-untyped-def]
