@@ -27,6 +27,8 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.search.body_explain import price_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
+from zendsp.diagnosis.search.forward import Searcher
+from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
@@ -170,6 +172,18 @@ def test_rotors_that_a_file_lacks_are_named_beside_a_link_without_inertia(record
     for joint, true in enumerate(motors, 1):
         assert abs(found[joint].value - true) < 3 * found[joint].std + 0.02 * true
     assert d.test is not None and d.test.improved < 0.01 * d.test.calibrated < 1.0
+
+
+def test_a_rotor_that_a_file_lacks_is_the_first_step_of_a_search(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing else could be seen beside a joint that no observer can follow."""
+    rotor: Any = SimpleNamespace(scored="with its rotor")
+    monkeypatch.setattr(Searcher, "_rotor", lambda *_: rotor)
+    monkeypatch.setattr(Searcher, "_chain", lambda _, begin: JointSearch(1, begin))
+    found = Searcher.search(Searcher.__new__(Searcher), "calibrated")  # type: ignore[arg-type]
+    assert [(s.chosen, s.before) for s in found.steps] == [(rotor, "calibrated")]
+    assert (found.base, found.final) == ("calibrated", "with its rotor")
 
 
 def test_what_calibration_moved_is_told_by_name_in_the_numbers_of_a_model_file() -> None:

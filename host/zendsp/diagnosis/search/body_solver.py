@@ -14,7 +14,7 @@ from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, Hyp
 
 Array = npt.NDArray[np.float64]
 
-DIGITS = 1e-14  # of a joint's innovations: what is left below is the rounding of their sums
+LAST_DIGITS = 1e-14  # of a joint's innovations: what is left below is the rounding of their sums
 
 
 class Solver:
@@ -252,7 +252,7 @@ class Solver:
         apart = self._full(other, self.chosen) - full
         force = np.einsum("jkab,jb->jka", self.choose.grams, apart)
         energy = self.choose.whole[:, -1, -1]
-        least = np.where(energy > 0.0, DIGITS * energy, np.inf)
+        least = np.where(energy > 0.0, LAST_DIGITS * energy, np.inf)
         weight = self.choose.counts.sum(axis=1) / np.maximum(self.squares(x), least)
         squares = np.einsum("j,jka,ja->k", weight, force, apart)
         slope = np.einsum("j,jka,ja->k", weight, force, full)
