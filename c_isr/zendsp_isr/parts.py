@@ -38,6 +38,7 @@ RUNNER_SOURCES = (
     "main.c", "contain.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c",
     "stream.c", "safety.c",
 )
+MONITOR_SOURCES = ("monitor.c", "lost_pages.c")
 
 
 def build_runner() -> Path:
@@ -67,7 +68,7 @@ def build_monitor() -> Path:
     """
     root = source_root()
     built = build(
-        "monitor", _read(root / "runtime", ("monitor.c",)), [root / "runtime", root / "include"]
+        "monitor", _read(root / "runtime", MONITOR_SOURCES), [root / "runtime", root / "include"]
     )
     return _trusted("monitor", built)
 

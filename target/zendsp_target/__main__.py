@@ -249,10 +249,12 @@ def _monitor(
     """
     _need_memory()
     from zendsp_target.monitor import Monitor, Options, asked_to_end
+    from zendsp_target.runtime import outlive_lost_pages
     from zendsp_target.serving.malloc import keep_large_buffers
 
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     keep_large_buffers()
+    outlive_lost_pages()
     _take_files()
     need_files()
     runtime = _runtime(args)

@@ -291,7 +291,7 @@ int main(int count, char **arguments) {
     r->page = map_file(r->control->stop_path, sizeof *r->page);
     if (!r->page || r->page->magic != LAYOUT_MAGIC || r->page->version != STOP_PAGE_VERSION)
         return fail(r->control, "stop page",
-                    "cannot be mapped, or made by another version of zendsp");
+                    "it is damaged, or of another version of zendsp: start the target again");
     catch_signals();
     contain_hear_of_end(r->control, SIGKILL);
     if (open_machine(r) != 0 || check_settings(r) != 0)

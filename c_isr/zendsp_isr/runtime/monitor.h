@@ -62,6 +62,7 @@ enum {
 int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, uint64_t stride,
                      uint64_t from, uint64_t bytes, unsigned char *values, uint64_t *tick);
 int monitor_ended(int pidfd);
+void monitor_outlive_lost_pages(void);
 uint32_t monitor_fit(const update_part *part, uint32_t parts, const double *values,
                      uint32_t *wrong);
 uint64_t monitor_pack(const update_part *part, uint32_t parts, const double *values,

@@ -44,6 +44,13 @@ def layout() -> tuple[Any, Any]:
     return ffi, ffi.dlopen(str(build_monitor()))
 
 
+def outlive_lost_pages() -> None:
+    """Let this process live on where user code cuts a file of shared memory short: what is lost
+    reads as zeros.
+    """
+    layout()[1].monitor_outlive_lost_pages()
+
+
 _HELD: weakref.WeakKeyDictionary[Any, tuple[Any, ...]] = weakref.WeakKeyDictionary()
 
 
