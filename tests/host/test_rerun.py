@@ -95,3 +95,18 @@ def test_without_a_viewer_it_is_said_how_to_start_one(monkeypatch: pytest.Monkey
         target.download("pd.c")
         with pytest.raises(LinkError, match=f"port {PORT} .*rerun --bind 127.0.0.1"), show(target):
             pass
+
+
+def test_a_file_that_cannot_be_written_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refuse(self: Stream, path: Path) -> None:  # as rerun-sdk 0.41 does
+        raise RuntimeError(f"Failed to create file: No such file or directory, path: {path}")
+
+    monkeypatch.setattr(Stream, "save", refuse)
+    monkeypatch.setitem(sys.modules, "rerun", Rerun())
+    with local("imi_planar", clock="fast") as target:
+        target.download("pd.c")
+        there = tmp_path / "none" / "run.rrd"
+        with pytest.raises(LinkError, match="run.rrd: cannot be written"), show(target, save=there):
+            pass

@@ -21,7 +21,7 @@ from zendsp.physics import (
     parse_model,
     simulate,
 )
-from zendsp.physics.codegen.terms import compensable
+from zendsp.physics.codegen.terms import c_comment, compensable
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.simulation.program import compile_program
 from zendsp_isr.build import source_root
@@ -241,6 +241,11 @@ def test_an_effect_of_ones_own_is_in_the_torque_of_a_motion(
     assert inverse_dynamics(model, [0.0], [3.0], [0.0]) == pytest.approx([4.5])
 
 
+def test_a_name_neither_ends_the_comment_nor_reaches_the_terminal() -> None:
+    text = c_comment("arm */ int evil; /* \x1b[2J")
+    assert text == "/* arm * / int evil; / * \\x1b[2J"
+
+
 def test_a_python_model_has_no_c() -> None:
     with pytest.raises(ModelError, match="python"):
         model_code(
@@ -253,5 +258,8 @@ def test_model2c_writes_what_the_function_gives(tmp_path: Path) -> None:
     done = CliRunner().invoke(command, [str(MODELS / "imi_planar.toml"), "--out", str(out)])
     assert done.exit_code == 0, done.output
     assert out.read_text() == model_code(load_model(MODELS / "imi_planar.toml"))
+    other = tmp_path / "arm.c"
+    CliRunner().invoke(command, [str(MODELS / "imi_planar.toml"), "--out", str(other)])
+    assert '#include "arm.c"' in other.read_text() and '"model.c"' not in other.read_text()
     shown = CliRunner().invoke(command, [str(MODELS / "imi_planar.toml"), "--effects-only"])
     assert "Compensation(int32_t joint" in shown.output and "comp_coulomb2_level" in shown.output

@@ -389,3 +389,10 @@ def test_the_lever_of_a_force_that_turns_a_joint_is_asked(unit: str, asked: bool
     drawn = draft_model(Table(columns, {"q": unit, "force": "N"}, {}, Path("run.csv")))
     assert any("one N of force make: at which radius" in q for q in drawn.questions) == asked
     assert not any("in N m (N)?" in q for q in drawn.questions)
+
+
+def test_the_name_of_a_column_does_not_leave_its_comment() -> None:
+    columns = {**recording(), "\x1b[2Jx\n[actuator]\ngain = 7.0": 1e3 * np.cos(T)}
+    draft = draft_model(Table(columns, {}, {}, Path("run.csv")))
+    assert "\x1b" not in draft.text and "\n[actuator]\ngain" not in draft.text
+    model_of(draft.text)

@@ -52,7 +52,8 @@ def rerun(
     Raises
     ------
     LinkError
-        rerun-sdk is not installed, there is no viewer, or the program has no signals.
+        rerun-sdk is not installed, there is no viewer, the file cannot be written, or the program
+        has no signals.
 
     Examples
     --------
@@ -74,7 +75,10 @@ def rerun(
     if save is None:
         recording.connect_grpc(f"rerun+http://127.0.0.1:{PORT}/proxy")
     else:
-        recording.save(save)
+        try:
+            recording.save(save)
+        except RuntimeError as error:
+            raise LinkError(f"{save}: cannot be written ({error})") from error
     columns = [(rr.escape_entity_path_part(n), part) for n, part, _ in columns_of(wanted, infos)]
 
     def rows(block: LiveBlock) -> None:

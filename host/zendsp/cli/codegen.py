@@ -8,6 +8,7 @@ import click
 
 from zendsp.cli.common import out_option
 from zendsp.errors import ModelError
+from zendsp_protocol.texts import shown
 
 
 @click.command("model2c")
@@ -47,6 +48,8 @@ def command(model: Path, out: Path | None, effects_only: bool, sign_speed: float
     if out is None:
         click.echo(text, nl=False)
         return
+    made = "compensation.c" if effects_only else "model.c"
+    text = text.replace(f'#include "{made}"', f'#include "{shown(out.name, lines=False)}"', 1)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(text, encoding="utf-8")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Actuator, Term, per_joint
+from zendsp_protocol.texts import shown
 
 # In C the arguments have names of their own: programs have globals q, qd, tau.
 _NAMES = {"q": "pos[{}]", "qd": "vel[{}]", "qdd": "acc[{}]", "tau": "torque"}
@@ -192,6 +193,8 @@ def sign_function(prefix: str) -> str:
 
 
 def c_comment(text: str) -> str:
-    """The first lines of a C comment, left open; nothing in them can end it."""
-    safe = text.replace("*/", "* /").replace("/*", "/ *").split("\n")
+    """The first lines of a C comment, left open; nothing in them can end it, and no terminal obeys
+    what they hold.
+    """
+    safe = shown(text).replace("*/", "* /").replace("/*", "/ *").split("\n")
     return "\n".join(["/* " + safe[0], *(f" * {line}".rstrip() for line in safe[1:])])

@@ -21,6 +21,7 @@ from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
 from zendsp.recording.units import ENCODER
+from zendsp_protocol.texts import shown
 
 TURN = 2.0 * np.pi  # rad
 COUNTS_A_TURN = 4096  # of an encoder of which nothing is known
@@ -45,7 +46,10 @@ class Page:
         self.unused: tuple[str, ...] = ()
 
     def line(self, text: str = "", comment: str = "", ask: str = "") -> None:
-        """Write a line, with a comment beside it and a question above."""
+        """Write a line, with a comment beside it and a question above. Names of columns stand in
+        both, and may hold what ends a comment.
+        """
+        comment, ask = shown(comment, lines=False), shown(ask, lines=False)
         if ask:
             self.questions.append(ask)
             self.lines.append(f"# ? {ask}")
