@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -307,6 +308,9 @@ def _read(
     if len(links) < len(found):
         raise ModelError(f"{path}: two of its {len(found)} links have the same name")
     joints = sorted(robot.findall("joint"), key=lambda joint: joint.attrib["name"])
+    for one, other in itertools.pairwise(joint.attrib["name"] for joint in joints):
+        if one == other:
+            raise ModelError(f"{path}: two of its joints are called {one!r}")
     children: dict[str, list[ET.Element]] = {name: [] for name in links}
     carried = set()
     for joint in joints:
@@ -323,8 +327,10 @@ def _read(
         raise ModelError(f"{path}: has {len(roots)} links without a parent; expected one")
     bodies: list[Body] = []
     order: list[str] = []
+    loose = set(links)  # not yet found from the base outwards
 
     def visit(name: str, index: int, rotation: Array, place: Array) -> None:
+        loose.discard(name)
         if index >= 0:
             bodies[index] = joined(bodies[index], *_inertial(links[name], rotation, place))
         for joint in children[name]:
@@ -342,6 +348,9 @@ def _read(
             visit(child, len(bodies) - 1, np.eye(3), np.zeros(3))
 
     visit(roots[0], -1, np.eye(3), np.zeros(3))
+    if loose:
+        names = ", ".join(sorted(loose)[:3])
+        raise ModelError(f"{path}: links hang on one another in a loop, among them {names}")
     return bodies, order
 
 

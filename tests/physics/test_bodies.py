@@ -257,6 +257,28 @@ def test_a_chain_of_links_that_is_too_long_is_refused_as_that(tmp_path: Path) ->
         read_urdf(str(file))
 
 
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [
+        (["one base a", "two b c", "three c b"], "in a loop, among them b, c"),
+        (["one base a", "two a b", "two b c"], "two of its joints are called 'two'"),
+    ],
+)
+def test_a_urdf_with_a_loop_beside_its_tree_or_two_joints_of_a_name_is_refused(
+    tmp_path: Path, joints: list[str], words: str
+) -> None:
+    rows = "".join(
+        f"<joint name='{name}' type='continuous'><parent link='{parent}'/>"
+        f"<child link='{child}'/><axis xyz='0 1 0'/></joint>"
+        for name, parent, child in map(str.split, joints)
+    )
+    links = "".join(f"<link name='{name}'/>" for name in ("base", "a", "b", "c"))
+    path = tmp_path / "arm.urdf"
+    path.write_text(f"<robot name='r'>{links}{rows}</robot>")
+    with pytest.raises(ModelError, match=words):
+        read_urdf(str(path))
+
+
 def _gripper(tmp_path: Path, fingers: str = "prismatic") -> Path:
     """A URDF of two joints with a gripper of two fingers, the second of which follows the first."""
     def link(name: str, mass: float) -> str:
