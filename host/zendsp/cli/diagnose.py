@@ -6,8 +6,9 @@ import json
 import os
 import shlex
 import sys
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -113,12 +114,22 @@ def command(
     cores = jobs or os.cpu_count() or 1
     if out is not None:
         check_writable(out)
-        _keep_inputs(out, (model_path, *train, *heldout), train if each else ())
+        inputs = (model_path, *_described_in(model_path), *train, *heldout)
+        _keep_inputs(out, inputs, train if each else ())
     asked = _Asked(train, model_path, heldout, out, not no_figures, as_json, seed, cores, effects)
     if each:
         _each(asked, scheduler)
     else:
         _together(asked, run_on)
+
+
+def _described_in(model: Path) -> list[Path]:
+    """The file that describes the machine of a model, where it names one. What is wrong with either
+    is told where they are read.
+    """
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        return [model.parent / tomllib.loads(model.read_text("utf-8"))["mechanism"]["file"]]
+    return []
 
 
 def _keep_inputs(out: Path, inputs: Sequence[Path], each: Sequence[Path]) -> None:
