@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import click
 
 from zendsp.cli.common import acknowledge, emit, open_target, sample_option, target_options
+from zendsp.cli.progress import stages
 from zendsp.errors import Refused
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import LATCHED, DriveState, ProgramState
+
+if TYPE_CHECKING:
+    from zendsp.link import Target
 
 ACTIONS = (
     "status", "on", "off", "home", "enable", "disable", "acknowledge", "auto", "take", "host-lost",
@@ -58,7 +63,7 @@ def command(
         actions: dict[str, Callable[[], str]] = {
             "on": t.power_on,
             "off": t.power_off,
-            "home": t.home_and_wait,
+            "home": lambda: _home(t),
             "enable": lambda: t.enable(mode),
             "disable": t.disable,
             "auto": t.drive_auto,
@@ -94,6 +99,13 @@ def command(
         if steps := said(way_back(seen, status, t.link.author, held), target, connect):
             lines.append(f"next: {steps}")
         emit(status, as_json, "\n".join(lines))
+
+
+def _home(t: Target) -> str:
+    """Home the machine, and say so while it takes."""
+    with stages() as tell:
+        tell("homing; Ctrl-C ends it")
+        return t.home_and_wait()
 
 
 def _mode(status: m.DriveStatus) -> str:
