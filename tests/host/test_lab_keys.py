@@ -18,7 +18,7 @@ from zendsp.cli.keys import command as keys
 from zendsp.errors import LinkError, Refused
 from zendsp.lab_keys import Holder, Lab
 from zendsp.link import connect
-from zendsp.link.settings import Credentials, common_name
+from zendsp.link.settings import Credentials, common_name, doubts
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
 from zendsp_target.monitor import Monitor, Options
@@ -343,3 +343,24 @@ def test_handing_out_an_expired_certificate_is_reported(
     again = ["user", "anna", "--role", "tune", *folder]
     assert "--renew makes another" in CliRunner().invoke(keys, again).output
     assert "ended on" not in CliRunner().invoke(keys, [*again, "--renew"]).output
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "right"),
+    [
+        ("tls/robot.lab:7447", True), ("tcp/[::1]:7447", True), ("unixsock-stream//tmp/a", True),
+        ("tcp/robot.lab:7447#iface=eth0", True),
+        ("tls/robot.lab", False), ("robot.lab:7447", False), ("tcp/robot.lab:", False),
+    ],
+)
+def test_an_address_without_a_port_or_a_protocol_is_named(endpoint: str, right: bool) -> None:
+    assert doubts(Credentials(), [endpoint]) == (
+        "" if right else f"{endpoint!r} is no address; one is tls/robot.lab:7447, for example"
+    )
+
+
+def test_a_certificate_that_is_not_there_is_named_and_not_its_key(tmp_path: Path) -> None:
+    absent, key = str(tmp_path / "anna.pem"), tmp_path / "anna.key"
+    key.touch()
+    said = doubts(Credentials(certificate=absent, key=str(key)), ["tls/robot.lab:7447"])
+    assert f"certificate (ZENDSP_TLS_CERT) {absent!r} cannot be read" in said

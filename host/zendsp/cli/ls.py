@@ -48,12 +48,12 @@ def _none(pattern: str, connect: str | None) -> str:
     from zendsp.here.registered import remote_endpoints
 
     which = "no target" if pattern == "*" else f"no target named {pattern!r}"
-    if where := ", ".join(remote_endpoints(connect)):
+    if endpoints := remote_endpoints(connect):
         from zendsp.link.settings import Credentials, doubts
 
-        why = doubts(Credentials.from_environment())
+        why = doubts(Credentials.from_environment(), endpoints)
         why = why or "or the one there refuses the certificate or password given"
-        return f"{which} answers here or at {where}; {why}"
+        return f"{which} answers here or at {', '.join(endpoints)}; {why}"
     return (
         f"{which} answers: 'zendsp target' starts one here; --connect or $ZENDSP_CONNECT"
         " finds one elsewhere"

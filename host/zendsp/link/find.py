@@ -99,7 +99,7 @@ def there(endpoints: Sequence[str]) -> list[Found]:
     answers = _ask_all([([endpoint], None) for endpoint in endpoints], 3.0)
     found = {one.name: one for some in answers for one in some}
     if not found:
-        why = doubts(Credentials.from_environment())
+        why = doubts(Credentials.from_environment(), endpoints)
         why = why or "is it running, and may this host reach it?"
         raise LinkError(f"no target answers at {', '.join(endpoints)}: {why}")
     return [found[name] for name in sorted(found)]

@@ -57,7 +57,7 @@ def open_session(
             if any(endpoint.startswith("tcp/") for endpoint in endpoints)
             else ""
         )
-        if wrong := doubts(credentials):
+        if wrong := doubts(credentials, endpoints):
             raise LinkError(f"nothing answers at {where}: {wrong}") from error
         raise LinkError(
             f"nothing answers at {where} within {timeout:g} s{doubt}. Is the target running?"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,8 @@ from zendsp.errors import LinkError
 from zendsp_protocol.certificates import begins, decoded, ended, unfit
 
 LEASE_MS = 1000  # a dead target is noticed within this time; the default of 10 s would hide it
+# protocol/host:port, or what Zenoh has besides: protocol/path
+ADDRESS = re.compile(r"(tcp|tls|udp|quic|ws)/.+:\d+([?#].*)?|(?!(tcp|tls|udp|quic|ws)/)[\w-]+/.+")
 
 
 @dataclass(frozen=True)
@@ -135,10 +138,17 @@ def _check(credentials: Credentials) -> None:
         )
 
 
-def doubts(credentials: Credentials) -> str:
-    """The visible faults of credentials in words, for a target that does not answer. They do not
-    prevent connecting, since the clock of this computer may be wrong.
+def doubts(credentials: Credentials, endpoints: Sequence[str]) -> str:
+    """The visible faults of addresses and credentials in words, for a target that does not answer.
+    They do not prevent connecting, since the clock of this computer may be wrong.
     """
+    for endpoint in endpoints:
+        if not ADDRESS.fullmatch(endpoint):
+            return f"{endpoint!r} is no address; one is tls/robot.lab:7447, for example"
+    try:
+        _check(credentials)
+    except LinkError as error:
+        return str(error)
     for what, file, renewed in (
         ("certificate", credentials.certificate, "'zendsp keys user NAME --role ROLE --renew'"),
         ("authority", credentials.authority, "'zendsp keys init'"),
