@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -114,3 +115,19 @@ def test_an_interrupted_zendsp_cut_leaves_whole_files_and_names_them(
     assert [file.name for file in out.iterdir()] == ["a-1.csv"]
     assert len(Recording.load(out / "a-1.csv")) == 1000
     assert f"1 of 2 parts are written and whole: {out / 'a-1.csv'}" in done.stderr
+
+
+def test_a_recording_that_fits_nowhere_is_said_to_be_on_the_target(
+    real: Target, tmp_path: Path
+) -> None:
+    words = ["acquire", "q", "tau", "-s", "0.5", "-t", real.name, "-o"]
+    done = subprocess.run(
+        [sys.executable, "-c", COMMAND, *words, tmp_path / "run.csv"], capture_output=True,
+        text=True, timeout=PATIENCE_S, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+    )  # fmt: skip
+    again = f"zendsp acquire --last -t {real.name} -o FILE"
+    assert done.returncode == 2 and f"the target has it: {again}" in done.stderr, done.stderr
+    last = [sys.executable, "-c", COMMAND, *again.split()[1:-1], tmp_path / "run.npz"]
+    subprocess.run(last, timeout=PATIENCE_S, check=True)
+    assert len(Recording.load(tmp_path / "run.npz")) == 500

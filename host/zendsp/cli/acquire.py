@@ -105,10 +105,8 @@ def command(
             except AcquisitionError:
                 raise error from None
         late = late_since(before, t.status().timing)
-    from zendsp.recording.files import save_anyhow
-
     made = "" if out.parent.is_dir() else ", in a new folder"
-    written, wrong = save_anyhow(recording, out)
+    written, wrong = _saved(recording, out, target, connect)
     if wrong:
         click.echo(f"zendsp: {wrong}", err=True)
     body = {
@@ -129,6 +127,22 @@ def command(
         raise click.exceptions.Exit(1)
     if wrong or not drawn:
         raise click.exceptions.Exit(1)
+
+
+def _saved(
+    recording: Recording, out: Path, target: str, connect: str | None
+) -> tuple[Path, str]:
+    """Save a recording as `save_anyhow` does. Where that fails, say where it still is."""
+    from zendsp.link.way_back import which
+    from zendsp.recording.files import save_anyhow
+
+    try:
+        return save_anyhow(recording, out)
+    except RecordingError as error:
+        again = f"zendsp acquire --last{which(target, connect)} -o FILE"
+        raise RecordingError(
+            f"{error}; until another one begins, the target has it: {again}"
+        ) from error
 
 
 def _check(

@@ -67,7 +67,12 @@ def said(steps: tuple[str, ...], target: str = "", connect: str | None = None) -
     target, connect : str
         As the user named the target; empty where there was no need to.
     """
-    which = f" -t {target}" * bool(target) + f" --connect {connect}" * bool(connect)
+    where = which(target, connect)
     return ", then ".join(
-        f"{COMMANDS[step]}{which}" if step in COMMANDS else step for step in steps
+        f"{COMMANDS[step]}{where}" if step in COMMANDS else step for step in steps
     )
+
+
+def which(target: str, connect: str | None) -> str:
+    """The options of a command that name a target as the user did; empty where it was not."""
+    return f" -t {target}" * bool(target) + f" --connect {connect}" * bool(connect)
