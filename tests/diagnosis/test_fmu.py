@@ -378,9 +378,11 @@ def test_hostile_files_and_names_are_refused(shop: Path, tmp_path: Path) -> None
     with zipfile.ZipFile(tmp_path / "foreign.fmu", "w") as archive:
         archive.writestr("modelDescription.xml", description("2.0"))
         archive.writestr("binaries/win64/p.dll", "")
+    zipfile.ZipFile(tmp_path / "empty.fmu", "w").close()
     cases = (
         (write_model, tmp_path / "gone.fmu", "", "no such file"),
         (write_model, tmp_path / "text.fmu", "", "is not an FMU that can be read"),
+        (write_model, tmp_path / "empty.fmu", "", "modelDescription.xml is missing, or is none of"),
         (write_model, tmp_path / "foreign.fmu", "", r"no binary for .*it has win64"),
         (write_model, shop / "p2.fmu", 'inputs = "torqe"', "no variable 'torqe'; did you mean"),
         (write_model, shop / "p2.fmu", 'inputs = "angle"', "expected a real input"),

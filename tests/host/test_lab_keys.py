@@ -93,6 +93,14 @@ def test_revoking_a_person_changes_nothing_for_others(lab: Lab, start: Open) -> 
         assert host.log() == (), "of one that starts afterwards"
 
 
+def test_whom_the_list_does_not_name_is_told_so(lab: Lab, start: Open) -> None:
+    lab.add_user("anna", "observe")
+    monitor = start(lab, lab.add_target("imi"))
+    late = lab.add_user("bo", "observe")  # the target started without this name
+    with pytest.raises(LinkError, match="or it has no role for this certificate"):
+        enter(monitor, lab, late, 2.0)
+
+
 def test_a_damaged_list_gives_nobody_a_role(
     lab: Lab, start: Open, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -36,6 +36,7 @@ def test_csv_with_units_gaps_semicolons_and_decimal_commas(tmp_path: Path) -> No
         ("\n", "is empty; expected a line of column names"),
         ("t,q\n", "no rows"),
         ("0,1\n1,2\n", "names of its 2 columns there: put a line such as t,position above"),
+        ('t,q\n0,1\n1,"2\n2,3\n', "line 3: a quote .* is opened and not closed"),
         ("t,q\n0,1\n1\n", r"line 3 \('1'\) has 1 value, parted by ',', where the header"),
         ("t,q\n0,1\n1,2,3\n", r"line 3 \('1,2,3'\) has 3 values, parted by ','"),
         ("t;q\n0,5;1,2\n1,5;1,2,3\n", "line 3: '1,2,3' is not a number with a decimal comma"),

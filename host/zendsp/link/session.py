@@ -76,6 +76,11 @@ def not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) -> 
         if reply.ok is not None
     ]
     there = f"there is {', '.join(sorted(names))}" if names else "no target is there"
+    if not names and any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints):
+        there += (
+            ", or it has no role for this certificate (zendsp keys list; a new name is let in when"
+            " the target starts again)"
+        )
     return f"no target named {target!r} at {', '.join(endpoints)}; {there}"
 
 

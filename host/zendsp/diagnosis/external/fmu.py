@@ -95,6 +95,8 @@ class Fmu:
                 files = [name.split("/") for name in archive.namelist()]
         except Exception as error:  # of zipfile, lxml, and fmpy's own
             said = " ".join(str(error).split())
+            if isinstance(error, (AttributeError, KeyError, TypeError)):  # fmpy, of what it misses
+                said = "its modelDescription.xml is missing, or is none of FMI 2.0 or 3.0"
             raise ModelError(f"{self.name}: is not an FMU that can be read: {said}") from error
         if not str(description.fmiVersion).startswith(("2.", "3.")):
             raise ModelError(f"{self.name}: is FMI {description.fmiVersion}; expected 2.0 or 3.0")

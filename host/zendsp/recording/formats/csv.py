@@ -361,6 +361,11 @@ def _first_fault(
                 f"; if line {number - 1} is no header, delete the lines above the names of the"
                 " columns"
             )
+        if any("\n" in cell for cell in cells):
+            return RecordingError(
+                f"{path}: line {number}: a quote (\") is opened and not closed: correct it, or"
+                " take it out"
+            )
         if cells and len(cells) != len(names):
             line, have = shorten(delimiter.join(cells)), counted(len(cells), "value")
             return RecordingError(
