@@ -79,6 +79,10 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "docs/experiments.md",
         "ModelTorque(q, qd, a, tau);   /* the torque for accelerations a, friction and all */",
     ): "names the functions that model2c writes: tests/physics/test_codegen.py compiles them",
+    (
+        "docs/machines.md",
+        "static int axis_home(void *h, const machine_sensors *s, machine_actuators *u) {",
+    ): SYNTAX,
     ("docs/machines.md", "static void axis_keep_alive(void *h) {"): SYNTAX,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/loop.md", "python benchmarks/many.py 50"): CLONE,

@@ -12,6 +12,7 @@ from typing import TextIO
 HEAD = re.compile(r"\s*(?:\w+: |\d+\. |- )?")  # "note: ", "1. ": further lines begin below
 COLUMNS = re.compile(r".*\S\s{2,}(?=\S)")  # what stands before the last one
 LEAST = 16  # characters, for a last column
+BELOW = "    "  # a last column for which there are fewer
 # for what a stream that is not UTF-8 may lack
 STAND_INS = {
     "✔": "+", "✓": "+", "✖": "-", "✗": "-", "–": "-", "−": "-", "…": "...", "·": "-", "→": "->",
@@ -37,7 +38,7 @@ def _stood_in(error: UnicodeError) -> tuple[str, int]:
 
 def fitted(text: str, stream: TextIO) -> str:
     """The text for a stream: wrapped for a terminal; unchanged for a pipe or a log. Of columns,
-    which are separated by two blanks, only the last is wrapped.
+    which are separated by two blanks, only the last is wrapped, or stands below the others.
     """
     if not stream.isatty():
         return text
@@ -50,8 +51,8 @@ def _broken(line: str, width: int) -> str:
         return line
     if columns := COLUMNS.match(line):
         below = columns.end()
-        if below > width - LEAST:
-            return line
+        if below > width - LEAST:  # on a line of its own
+            return f"{line[:below].rstrip()}\n{_broken(BELOW + line[below:], width)}"
     else:
         head = HEAD.match(line)
         below = min(head.end() if head else 0, width // 4)
