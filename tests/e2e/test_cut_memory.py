@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
+from waiting import PATIENCE_S
 
 from zendsp.errors import RunnerDied
 from zendsp.link import Target
@@ -37,5 +41,8 @@ def test_user_code_that_cuts_the_shared_memory_short_takes_down_the_runner_only(
     with pytest.raises(RunnerDied, match="SIGBUS"):
         fast.acquire(["n"], seconds=5.0, start=True)
     assert fast.status().state == "crashed"
+    told = [sys.executable, "-m", "zendsp", "info", fast.name]
+    done = subprocess.run(told, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+    assert "SIGBUS" in done.stdout and "zendsp load FILE" in done.stdout
     fast.download("pd.c")
     assert fast.run_for(0.1).state == "paused"

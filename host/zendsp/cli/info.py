@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 
 import click
 
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.completing import targets
+from zendsp.errors import RunnerDied
 from zendsp.link.listings import Dictionary
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState, VariableKind
@@ -25,7 +27,7 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
 
     Example:  zendsp info imi
     """
-    from zendsp.link.outside import outside
+    from zendsp.link.outside import Outside, outside
     from zendsp.link.way_back import HOLD, said, way_back
 
     with open_target(name or target, connect) as t:
@@ -33,11 +35,13 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
         # what there is to say of machine and variables comes from the code that runs
         none = status.state == ProgramState.EMPTY
         variables, machine = ({}, None) if none else (t.variables(), t.machine())
-        limits = t.limits() if machine else None
-        away = outside(status, machine.joints, limits) if machine and limits else ()
         sources = t.program().sources if status.program else {}
         readable = [v.name for v in variables.values() if v.kind != VariableKind.TABLE]
-        values = dict(t.request("read", names=readable).values) if readable else {}
+        values: dict[str, Value] = {}
+        away: Sequence[Outside] = ()
+        with suppress(RunnerDied):  # what it left cannot be read; that it crashed is in the status
+            values |= t.request("read", names=readable).values if readable else {}
+            away = outside(status, machine.joints, t.limits()) if machine else ()
         held = status.state == ProgramState.RUNNING and bool(values.get(HOLD))
         drive = t.drive_status()
         steps = said(way_back(status, drive, t.link.author, held), name or target, connect)
