@@ -34,7 +34,9 @@ def conditions(status: Status, powered: bool, runtime: RuntimeApi) -> tuple[Cond
         (
             "homed",
             status.homed and there,
-            unknown or "the position is unknown: home the machine (zendsp drive home)",
+            unknown
+            or "the position is unknown: home the machine (zendsp drive home); each load asks for"
+            " it anew",
         ),
         (
             "limits",
