@@ -38,7 +38,8 @@ def _stood_in(error: UnicodeError) -> tuple[str, int]:
 
 def fitted(text: str, stream: TextIO) -> str:
     """The text for a stream: wrapped for a terminal; unchanged for a pipe or a log. Of columns,
-    which are separated by two blanks, only the last is wrapped, or stands below the others.
+    which are separated by two blanks, only the last is wrapped; words that have no room beside the
+    others stand below them.
     """
     if not stream.isatty():
         return text
@@ -51,7 +52,9 @@ def _broken(line: str, width: int) -> str:
         return line
     if columns := COLUMNS.match(line):
         below = columns.end()
-        if below > width - LEAST:  # on a line of its own
+        if below > width - LEAST:  # words stand on a line of their own; a number stays in its row
+            if " " not in line[below:]:
+                return line
             return f"{line[:below].rstrip()}\n{_broken(BELOW + line[below:], width)}"
     else:
         head = HEAD.match(line)
