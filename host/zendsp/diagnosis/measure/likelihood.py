@@ -8,12 +8,13 @@ maximised over the observer's bandwidth, sees both.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.physics.calibration.chord import fit_near
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual, residuals
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.predict import ran_away
@@ -151,6 +152,7 @@ def fit_scored(
     jobs: int = 2,
     rounds: int = 4,
     goal: float = math.inf,
+    near: Callable[[Data], Fit] | None = None,
 ) -> Scored:
     """The fit of a model and its tuned observer, repeated until the bandwidth converges.
 
@@ -168,16 +170,21 @@ def fit_scored(
         Most changes of bandwidth.
     goal : float
         The deviance of the joint below which the fit is of any use, see ``fit``.
+    near : callable or None
+        The fit to some recordings of a model near that of one joint, see ``fit_near``.
     """
     best: Scored | None = None
-    for _ in range(rounds):
+    for last in (*[False] * (rounds - 1), True):
         most = cost_of(data, joints[0], goal) if goal < math.inf else goal
-        result = fit(
+        result = near and fit_near(data, model, near(data), joints[0])
+        result = result or fit(
             data, model, handles, joints=joints, iterations=iterations, jobs=jobs, goal=most
         )
         value = fitted_deviance(data, result, joints)
         if best is None or value < best.deviance:
             best = Scored(result, data, value, tuple(joints))
+        if last:
+            break
         tuned, tuned_value = tune_bandwidth(data, result.model, joints, known=value)
         if tuned.bandwidth == data.bandwidth or not tuned_value < value - BETTER:
             break

@@ -224,6 +224,12 @@ def bounds_and_steps(
     return np.array(low), np.array(high), np.array(size)
 
 
+def at_bounds(x: Array, low: Array, high: Array, handles: Sequence[Handle]) -> tuple[bool, ...]:
+    """Whether each number has come to one of its bounds, (p,)."""
+    near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
+    return tuple(bool(v) and h.tie is None for v, h in zip(near, handles, strict=True))
+
+
 def block_count(data: Data) -> int:
     """Samples in one block of the robust statistics."""
     return max(10, round(BLOCK_S / data.records[0][0].sample_time))
@@ -289,9 +295,7 @@ def fit(
         x, r, jac = problem.descend(x, iterations, tolerance, brief, goal)
     rows = len(r) - np.count_nonzero(problem.prior)  # of the recordings
     covariance = robust_covariance(jac[:rows], r[:rows], block_count(data), problem.prior)
-    low, high = problem.low, problem.high
-    near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
-    at_bound = tuple(bool(v) and h.tie is None for v, h in zip(near, handles, strict=True))
+    at_bound = at_bounds(x, problem.low, problem.high, handles)
     found = Fit(
         set_values(model, handles, x), handles, x, covariance, float(r @ r), at_bound, jac, r,
     )

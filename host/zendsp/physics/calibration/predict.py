@@ -104,8 +104,10 @@ def run(
     packed = pack(model.at(record.joint))
     key = _key(record, model, packed, bandwidth, inner, free_every)
     asked_again = not states and extra is None
-    if asked_again and key in record.runs:
-        known: Run = record.runs[key][0]
+    found = record.runs.pop(key, None) if asked_again else None
+    if found is not None:
+        known: Run = found[0]
+        _keep(record, key, known)  # as the latest: what is asked for most stays
         return known
     m = lib.ffi.new("zk_model *")
     alive = fill(m, record, model, bandwidth, inner, packed=packed)
