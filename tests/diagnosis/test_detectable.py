@@ -105,7 +105,9 @@ def test_recordings_that_would_show_no_friction_nor_torque_over_position_cannot_
 
 
 class _OneImplant(sizes._Implant):
-    """An implant that is seen from a size of ``enough`` on, and grows with its size alone."""
+    """An implant that is seen from a size of ``enough`` on, by the gain of blocks, which need not
+    grow as its size does.
+    """
 
     def __init__(self, enough: float) -> None:
         self.enough, self.test, self.joint = enough, None, 1  # type: ignore[assignment]
@@ -119,7 +121,8 @@ class _OneImplant(sizes._Implant):
         return None
 
     def _short_by(self, term: Term, *_: Any) -> tuple[float, float]:
-        return self.enough / term.value("coefficient"), 0.1
+        lacking = self.enough / term.value("coefficient")
+        return (lacking if lacking <= 1.0 else max(lacking, sizes.LARGER)), 0.1
 
 
 @pytest.mark.parametrize(("enough", "seen"), [(1.1, 1.19), (1.19, 1.19), (1.3, np.inf)])

@@ -42,6 +42,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     falls,
     kept,
     mean_square,
+    resisting,
 )
 from zendsp.diagnosis.measure.evidence import Evidence, compare, heard_slowly
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
@@ -262,13 +263,16 @@ def dependence(scored: Scored, test: Data, joint: int) -> float:
     autocorrelation of the innovations.
     """
     worst = 1.0
+    bandwidth = scored.data.bandwidth[joint - 1]
     for rec in test.records:
         record = rec[joint - 1]
-        r = run(
-            record, scored.model, scored.data.bandwidth[joint - 1], inner=test.inner
-        ).innovations
-        r = np.clip(r[record.counted], -1e3, 1e3)
-        worst = max(worst, repeats(r, record.sample_time))
+        known = resisting(record, scored.model).known
+        key = "repeats", bandwidth, test.inner
+        if key not in known:
+            r = run(record, scored.model, bandwidth, inner=test.inner).innovations
+            r = np.clip(r[record.counted], -1e3, 1e3)
+            known[key] = repeats(r, record.sample_time)
+        worst = max(worst, known[key])
     return worst
 
 

@@ -65,14 +65,14 @@ class Resisting:
 
 def resisting(record: JointRecord, model: Model) -> Resisting:
     """Inertia and damping along a recording, computed once for each of the latest models."""
-    found: Resisting | None = record.resists.get(id(model))
+    found: Resisting | None = record.resists.pop(id(model), None)
     if found is None:
         found = Resisting(
             model, effective_inertia(record, model), damping_along(record, model), {}
         )
-        record.resists[id(model)] = found  # keeps the model, so that no other gets its id
-        while len(record.resists) > MODELS:
-            record.resists.pop(list(record.resists)[0], None)  # noqa: RUF015  as in ``run``
+    record.resists[id(model)] = found  # the latest; keeps the model, so that no other gets its id
+    while len(record.resists) > MODELS:
+        record.resists.pop(list(record.resists)[0], None)  # noqa: RUF015  as in ``run``
     return found
 
 
@@ -99,11 +99,13 @@ def correction(record: JointRecord, model: Model, band: float) -> tuple[Array, i
 
     A lasting error of speed is corrected in the position too, against the model's damping.
     """
-    _, k2, w = record.gains(band)
     of = resisting(record, model)
-    resists = of.inertia + np.sqrt(2.0) * of.damping / band
-    factor = np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0) * resists / record.sample_time
-    return -factor, correction_lag(record, band)
+    if ("correction", band) not in of.known:
+        _, k2, w = record.gains(band)
+        resists = of.inertia + np.sqrt(2.0) * of.damping / band
+        factor = np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0) * resists / record.sample_time
+        of.known["correction", band] = -factor
+    return of.known["correction", band], correction_lag(record, band)
 
 
 def correction_lag(record: JointRecord, band: float) -> int:

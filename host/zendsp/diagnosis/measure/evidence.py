@@ -59,7 +59,7 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
         Its z accounts for correlated neighbouring blocks (Newey and West 1987).
     """
     settle = max(settling(before, joint), settling(after, joint))
-    return _evidence(
+    return evidence(
         block_scores(before, test, joint, settle) - block_scores(after, test, joint, settle)
     )
 
@@ -77,11 +77,11 @@ def heard_slowly(before: Scored, after: Scored, test: Data, joint: int) -> float
             scores = [
                 _blocks(point_deviance(slow, s.model, joint), slow, settle) for s in (before, after)
             ]
-            most = max(most, _evidence(scores[0] - scores[1]).z)
+            most = max(most, evidence(scores[0] - scores[1]).z)
     return most
 
 
-def _evidence(values: Array) -> Evidence:
+def evidence(values: Array) -> Evidence:
     """The evidence from the gain of each block."""
     if len(values) < 2:
         return Evidence(float(values.sum()), 0.0, values)
@@ -159,6 +159,9 @@ def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
 
 def _sizes(data: Data, record: JointRecord, model: Model) -> Array:
     """Absolute innovations, capped where the prediction has lost track, (n,)."""
-    r = np.abs(run(record, model, data.bandwidth[record.joint - 1], inner=data.inner).innovations)
+    ran = run(record, model, data.bandwidth[record.joint - 1], inner=data.inner)
+    r: Array = np.abs(ran.innovations)
+    if float(np.max(r, initial=0.0)) <= OFF_TRACK:
+        return r
     usual = float(np.median(r[record.counted])) if record.counted.any() else 1.0
     return np.asarray(np.minimum(r, OFF_TRACK * max(1.0, usual)))
