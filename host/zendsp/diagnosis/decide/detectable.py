@@ -66,7 +66,7 @@ Array = npt.NDArray[np.float64]
 
 NOT_SMALL = 0.3  # of the RMS torque: a larger effect is not looked for
 ITERATIONS = 6  # of the fit without the implant
-ABSORBED = 2  # sizes that calibration absorbs whole, after which no larger one is tried
+ABSORBED = 3  # sizes that calibration absorbs whole, after which no larger one is tried
 IMPLANTS = 6  # of growing size, until one is seen
 AMPLE = 1.05  # margin over the size that an estimate or the last implant seems to need
 # times the last at most; and at least, where what it lacks is evidence. Torque and error in
