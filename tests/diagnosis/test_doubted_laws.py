@@ -201,7 +201,7 @@ def test_no_torque_gain_within_half_a_percent_is_named(ratio: float, small: bool
     rounds: Any = SimpleNamespace(joint=1, data=SimpleNamespace(records=((record,),)))
     rival: Any = SimpleNamespace(scored=SimpleNamespace(model=SimpleNamespace(terms=(gain,))))
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("zendsp.diagnosis.search.rounds.facts", lambda _: None)
+        patched.setattr("zendsp.diagnosis.search.rounds.facts", lambda *_: None)
         assert Rounds.too_small(rounds, rival, gain) is small
 
 

@@ -15,7 +15,7 @@ from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.search.rounds import below_least
 from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import grid_of
-from zendsp.physics.effects import get_effect, library
+from zendsp.physics.effects import library
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Quantity, Term
 
@@ -81,15 +81,20 @@ def test_a_dead_zone_swallows_less_than_the_usual_command() -> None:
     assert width.limits(facts(record))[1] == pytest.approx(0.9 / math.sqrt(2.0), rel=0.02)
 
 
-def test_an_actuator_does_not_saturate_below_half_of_its_commands() -> None:
+def test_a_drive_whose_limit_all_commands_pass_or_no_friction_lets_through_is_no_law() -> None:
     """A wrist whose command only overcame a friction that nobody had written down was called
     saturated at 0.0 N m, at 97 %.
     """
     data = prepare([recording(4.0, 0.9), recording(4.0, 0.5)], MODEL)
-    known = facts(data.records[0][0])
-    least = get_effect("saturation").least
-    assert least is not None
-    assert least(known)["level"] == pytest.approx(0.5 / math.sqrt(2.0), rel=0.02)
-    for level, refused in ((0.0, True), (0.3, True), (0.4, False)):
+    rubbing = parse_model(
+        {
+            "sample_time": T,
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.01}}},
+            "effect": [{"kind": "coulomb", "joint": 1, "level": {"value": 0.2}}],
+        }
+    )
+    for level, model, refused in (
+        (0.0, MODEL, True), (0.03, MODEL, True), (0.1, MODEL, False), (0.1, rubbing, True),
+    ):  # fmt: skip
         term = Term("saturation", 1, {"level": Quantity(level)})
-        assert below_least(term, data, 1) is refused
+        assert below_least(term, data, 1, model) is refused

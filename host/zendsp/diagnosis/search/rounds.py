@@ -64,13 +64,15 @@ def _promise(group: Sequence[Candidate]) -> float:
     return group[0].gain if slow else math.nan
 
 
-def below_least(term: Term, data: Data, joint: int) -> bool:
-    """Whether a term is below the least size that its effect says a recording can show."""
+def below_least(term: Term, data: Data, joint: int, model: Model | None = None) -> bool:
+    """Whether a term is below the least size that its effect says a recording can show, beside the
+    other terms of a ``model``.
+    """
     least = get_effect(term.effect).least
     if least is None:
         return False
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
-    return any(abs(term.value(name)) < size for name, size in least(facts(record)).items())
+    return any(abs(term.value(name)) < size for name, size in least(facts(record, model)).items())
 
 
 class Rounds:
@@ -346,7 +348,7 @@ class Rounds:
     def too_small(self, rival: Rival, term: Term) -> bool:
         """Whether a term is below the least size that its effect says a recording can show."""
         fitted = counterpart(rival.scored.model.terms, term)
-        return below_least(fitted, self.data, self.joint)
+        return below_least(fitted, self.data, self.joint, rival.scored.model)
 
     def _possible(self, current: Scored, rival: Rival) -> bool:
         """Whether the numbers of all terms found so far are possible for a machine: no joint has a

@@ -347,7 +347,7 @@ def facts(
             centre=0.5 * (float(q.max()) + float(q.min())),
             fast=fast,
             fastest=fastest,
-            median=float(np.median(command)),
+            weak=float(np.quantile(command, 0.05)),
             strong=max(float(np.quantile(command, 0.999)), record.scale.command),
             strongest=float(command.max()),
             sample_time=record.sample_time,
@@ -397,7 +397,7 @@ def share_facts(records: Sequence[Sequence[JointRecord]]) -> None:
             longest,
             scale=replace(longest.scale, position=way, turn=turn, **most),
             centre=0.5 * (min(low) + max(high)),
-            median=min(f.median for f in each),
+            weak=min(f.weak for f in each),
             **{
                 name: max(getattr(f, name) for f in each)
                 for name in ("fast", "fastest", "strong", "strongest")

@@ -68,8 +68,8 @@ class Facts:
         Middle of the positions, rad or m; ``scale.position`` is their range.
     fast, fastest : float
         Speeds that 5 % and 1 % of the samples exceed, rad/s or m/s.
-    median, strong, strongest : float
-        Command that half and 0.1 % of the samples exceed, and the largest, command units.
+    weak, strong, strongest : float
+        Command that 95 and 0.1 % of the samples exceed, and the largest, command units.
     sample_time : float
         s.
     slides : bool
@@ -94,7 +94,7 @@ class Facts:
     centre: float
     fast: float
     fastest: float
-    median: float
+    weak: float
     strong: float
     strongest: float
     sample_time: float

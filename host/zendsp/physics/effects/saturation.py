@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from zendsp.physics.effects.axes import command_limits, of_command
-from zendsp.physics.effects.base import Effect, Parameter
+from zendsp.physics.effects.base import Effect, Facts, Parameter
+
+
+def _least(facts: Facts) -> dict[str, float]:
+    """A limit that all commands pass leaves their sign only, and a drive whose limit is below the
+    dry friction moves nothing: both at once are any torque that the motion follows.
+    """
+    return {"level": max(facts.weak, facts.friction / abs(facts.gain or 1.0))}
+
 
 EFFECT = Effect(
     name="saturation",
@@ -19,8 +27,7 @@ EFFECT = Effect(
     equation="clip(u, ±level)",
     over="command",
     grid={"level": of_command(0.06, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)},
-    # a limit that most commands pass leaves their sign only, as a dry friction takes it away again
-    least=lambda f: {"level": f.median},
+    least=_least,
     loosens_inertia=True,
     shown_by=("current",),
     why_not="no command passes the limit: plan below it",
