@@ -105,3 +105,22 @@ def test_whole_counts_are_not_taken_for_radians() -> None:
         read({})
     assert read({"matrix": [[one]]}) == 1.0  # the resolution said in rad a count, behind the matrix
     assert read({"matrix": [[one]], "position_resolution": 1.0}) == 1.0
+
+
+@pytest.mark.parametrize(("times", "swapped"), [(1, True), (3, False)])
+def test_commands_that_a_controller_made_of_counts_are_no_positions(
+    times: int, swapped: bool
+) -> None:
+    """Positions beside the counts, as a drive that interpolates them gives them, were refused."""
+    t, one = 0.001 * np.arange(4000), 2e-7
+    q = 0.1 * np.sin(3.0 * t)[:, None]
+    command = times * one * np.round(1e-4 * np.sin(40.0 * t)[:, None] / one)
+    model = parse_model({**ALONE, "sensor": {"position_resolution": one}})
+    columns: Any = {"position": "q", "command": "u"}
+    said: list[str] = []
+    if swapped:
+        with pytest.raises(RecordingError, match="swapped"):
+            resolution_of("run", columns, 0, q, command, model, said)
+    else:
+        resolution_of("run", columns, 0, q, command, model, said)
+        assert "does not lie on the model's position_resolution" in said[0]

@@ -241,7 +241,9 @@ def resolution_of(
                 )
     if found < stated and any(_on_lattice(y, stated / part) for part in (2, 4, 8, 5, 10)):
         return stated  # fractions of a count: interpolated or averaged by the drive
-    if "command" in columns and _on_lattice(command[:, joint], stated, least=100):
+    # its own, and not one of the multiples that a controller makes of counts
+    own = find_resolution(command[:, joint]) if "command" in columns else 0.0
+    if abs(own / stated - 1) < UNITS and _on_lattice(command[:, joint], stated, least=100):
         raise RecordingError(
             f"{where}: the command column has the sensor's resolution of {stated:.6g} and the"
             " position column has not: position and command are swapped"
