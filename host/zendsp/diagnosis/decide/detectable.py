@@ -73,7 +73,8 @@ AMPLE = 1.05  # margin over the size that an estimate or the last implant seems 
 # windows grow as the size does (times 1.6 at most: within 5 % in 65 of 71), the gain of blocks may
 # not: made larger by no more than it lacked, it then lacked something in 172 of 199
 FARTHER, LARGER = 10.0, 1.5
-# times too small: what is left of an implant then is the rounding of a fit
+# times too small: what is left of an implant then is the rounding of a fit. One that an inertia
+# took up was 6111 times too small, the next size endlessly
 NOTHING_LEFT = 100.0
 # of the best determined combination of calibrated numbers: one less determined absorbs nothing.
 # Chosen

@@ -174,7 +174,7 @@ def fit_scored(
         The fit to some recordings of a model near that of one joint, see ``fit_near``.
     """
     best: Scored | None = None
-    for last in (*[False] * (rounds - 1), True):
+    for left in reversed(range(rounds)):
         most = cost_of(data, joints[0], goal) if goal < math.inf else goal
         result = near and fit_near(data, model, near(data), joints[0])
         result = result or fit(
@@ -183,7 +183,7 @@ def fit_scored(
         value = fitted_deviance(data, result, joints)
         if best is None or value < best.deviance:
             best = Scored(result, data, value, tuple(joints))
-        if last:
+        if not left:
             break
         tuned, tuned_value = tune_bandwidth(data, result.model, joints, known=value)
         if tuned.bandwidth == data.bandwidth or not tuned_value < value - BETTER:

@@ -7,8 +7,10 @@ from zendsp.physics.effects.base import Effect, Facts, Parameter
 
 
 def _least(facts: Facts) -> dict[str, float]:
-    """A limit that all commands pass leaves their sign only, and a drive whose limit is below the
-    dry friction moves nothing: both at once are any torque that the motion follows.
+    """The lowest limit, command units, that is one. Of commands that nearly all pass it only their
+    sign is left, and below the dry friction a drive moves nothing; a friction that no model had
+    was both at once, at 0.0. One command in twenty has to be below it: a true limit that 85 % of
+    the commands passed is found (``tests/diagnosis/test_diagnosis.py``).
     """
     return {"level": max(facts.weak, facts.friction / abs(facts.gain or 1.0))}
 
