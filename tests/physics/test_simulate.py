@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from benches import MODELS, T, effect, planar, rotary
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from zendsp.errors import ModelError
 from zendsp.physics import load_model, parse_model, simulate_loop
@@ -211,6 +212,7 @@ def test_halving_the_step_quarters_the_error_of(name: str) -> None:
 
 
 J, G, U = 0.01, 0.3, 0.12  # kg m^2, N m, N m
+KEPT = math.exp(-T / 0.02)  # by a filter of 20 ms in a row
 N, A, PHI = 3.0, 0.02, 0.4  # of a transmission
 
 
@@ -254,6 +256,12 @@ SCIPY: dict[str, tuple[list[dict[str, Any]], Any, list[float], Any]] = {
         lambda t, x: [x[1], (U - G * math.sin(x[0])) / J, (x[0] - x[2]) / 0.02],
         [1.0, 0, 1.0],
         lambda x: x[2],
+    ),
+    "a filter computed once a row": (
+        [effect("position_filter", time_constant=0.02, computed="per_row")],
+        lambda t, x: [x[1], (U - G * math.sin(x[0])) / J],
+        [1.0, 0],
+        lambda x: lfilter([1 - KEPT], [1, -KEPT], x[0], zi=[KEPT * 1.0])[0],
     ),
     "voltage_limit": (
         [effect("voltage_limit", level=0.13, slope=0.03)],

@@ -31,7 +31,7 @@ from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model, Term, per_joint
 
 Array = npt.NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def law_of(
     instead = _likelier(final, [*compress(every, large)], scores[[True, *large]])
     other = [r.effect != term.effect for r in every]
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
-    weights = _weights(scores)
+    weights, loose = _weights(scores), _off_counts(parts, given, joint)
     after = discrepancy(parts.choose, final.model, joint).value
     same, lost = [], []
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
@@ -83,6 +83,8 @@ def law_of(
             behind < INSEPARABLE * first.evidence.gain
             and difference(parts.choose, rival.scored.model, final.model, joint) < least
         )
+        if loose and _late(rival.effect, term.effect):
+            near |= behind < LAW_ERROR * first.evidence.gain
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
         else:
@@ -109,6 +111,19 @@ def law_of(
         tuple(lost[:6]),
         instead=instead,
     )
+
+
+def _off_counts(parts: Parts, given: Model, joint: int) -> bool:
+    """Whether positions lie beside the counts that the model states: what came after the sensor
+    coloured its noise.
+    """
+    resolution = parts.choose.records[0][joint - 1].measurement.resolution
+    return resolution <= 0 < per_joint(given.sensor.resolution, joint, 0.0)
+
+
+def _late(one: str, other: str) -> bool:
+    """Whether both are laws of what is late."""
+    return {get_effect(one).family, get_effect(other).family} == {"timing"}
 
 
 def _shared(names: Sequence[str], weights: Array, mechanism: str) -> dict[str, float]:

@@ -39,7 +39,10 @@ INLINE void OF(correct)(const OF(task) *O, OF(motion) *X, int k, double *out)
         X->qd[l] += O->side ? apart * dv : dv;
         X->qdl[l] += O->side ? dv : apart * dv;
     }
-    if (O->filtered) EACH X->seen[l] += k1 * e[l];
+    if (O->filtered) EACH { /* what is seen is corrected as it would be without the filter */
+        const double ahead = N->filter[l] * k2 * e[l];
+        X->seen[l] += k1 * e[l]; X->q[l] += ahead; X->ql[l] += ahead;
+    }
 }
 
 enum { OF(LOOK) = LANES > 1 ? BLOCK : 1 }; /* samples from look to look at who ran away */
@@ -118,6 +121,8 @@ INLINE int OF(predict)(OF(task) *O, double *r, double *xq, double *xqd, double *
             OF(step)(O, X, k, k * M->T + i * O->h, added);
             EACH usum[l] += O->S->tau[l];
         }
+        if (O->filtered && O->N->by_rows) /* a filter that is computed once a row */
+            EACH X->seen[l] += O->N->keep[l] > 0 ? (1 - O->N->keep[l]) * (SIDE_Q - X->seen[l]) : 0;
         if (torque) torque[k] = usum[0] / sub;
     }
     for (int l = 0; l < LANES; l++) /* what has run away is far from everything */

@@ -317,6 +317,7 @@ INLINE void OF(step)(const OF(task) *O, OF(motion) *X, int k, double tl, double 
     if (O->filtered) /* exact for a position that moves evenly within the step */
         EACH {
             double to = SIDE_Q, lag = (to - from[l]) * O->per_h * N->filter[l];
-            X->seen[l] = to - lag + (X->seen[l] - from[l] + lag) * X->fade[l];
+            double flows = to - lag + (X->seen[l] - from[l] + lag) * X->fade[l];
+            X->seen[l] = N->keep[l] > 0 ? X->seen[l] : flows;
         }
 }

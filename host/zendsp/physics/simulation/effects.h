@@ -75,7 +75,8 @@ static void setup_joint(sim *S, int joint) {
     double delay = 0, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0, s0 = 0, s1 = 0,
            bw_force = 0, bw_a = 0, bw_n = 1, creep = 0, creep_lead = 0;
     double j_extra = 0, k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0,
-           column_late = 0, dry_load = 0;
+           keep = 0, column_late = 0, dry_load = 0;
+    const double row = S->c.period; /* s */
     int two_mass = 0, lag_on = 0, straight = 0;
     for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
         const double *p = S->c.effect_p + i * SIM_P;
@@ -106,6 +107,7 @@ static void setup_joint(sim *S, int joint) {
                      .w_order = w_order,
                      .w_phase = w_phase,
                      .filter = filter,
+                     .keep = keep,
                      .column_late = column_late,
                      .two_mass = two_mass,
                      .lag_on = lag_on && lag > 0,

@@ -120,6 +120,11 @@ int sim_advance(sim *S, const double *command) {
     for (int i = 0; i < S->c.inner; i++)
         inner_step(S, k * S->c.period + i * h, h);
     for (int i = 0; i < n; i++)
+        if (S->j[i].keep > 0) {
+            double unused;
+            S->j[i].seen += (1 - S->j[i].keep) * (side(S, i, &unused) - S->j[i].seen);
+        }
+    for (int i = 0; i < n; i++)
         S->torque[i] /= S->c.inner;
     for (int i = 0; i < S->dof; i++)
         if (!(fabs(S->x[i]) < 1e5 && fabs(S->v[i]) < 1e7))

@@ -51,6 +51,7 @@ typedef struct sim_joint { /* what the effects of site "setup" set, and states *
     int straight; /* it grows in proportion to the speed, not as a tanh */
     double k_cubic, w_amp, w_order, w_phase; /* load = motor + w_amp sin(w_order motor + w_phase) */
     double filter, seen;                     /* s; the position behind the filter */
+    double keep; /* what a filter keeps that is computed once a row; 0: always */
     double column_late;                      /* s: of the recorded command */
     int two_mass, lag_on;
     int motor;          /* degree of freedom on the motor side; the joint's own where it is rigid */

@@ -256,7 +256,7 @@ static void inner_step(sim *S, double tl, double h) {
     /* filtered sensors, exactly for a position that moves evenly within the step */
     for (int i = 0; i < n && S->filtered; i++) {
         sim_joint *j = &S->j[i];
-        if (j->filter <= 0)
+        if (j->filter <= 0 || j->keep > 0)
             continue;
         const double to = side(S, i, &unused), lag = (to - from[i]) / h * j->filter;
         j->seen = to - lag + (j->seen - from[i] + lag) * exp(-h / j->filter);
