@@ -76,6 +76,22 @@ def test_drag_that_needs_the_known_viscous_friction_to_grow_is_not_named(
 
 
 @pytest.mark.parametrize(
+    ("effect", "numbers", "drawn"),
+    [("stribeck", {"breakaway": 0.18, "velocity": 2.5}, True), ("coulomb", {"level": 0.2}, False)],
+)
+def test_a_curve_upon_coulomb_friction_that_needs_viscous_friction_to_grow_is_not_named(
+    effect: str, numbers: dict[str, float], drawn: bool
+) -> None:
+    """A sine of the speed was a Stribeck curve (0.95) beside three times the viscous friction (seed
+    902, case 113). Coulomb friction stands upon nothing, and says less about the shape.
+    """
+    law = term(effect, **numbers)
+    final = fitted((term("viscous", coefficient=0.05), law), coefficient=2e-4)
+    given: Any = SimpleNamespace(at=lambda _: (term("viscous", coefficient=0.016),))
+    assert patchwork.makes_another_grow(given, final, law) is drawn
+
+
+@pytest.mark.parametrize(
     ("neutral", "std", "one"), [(0.102, 1e-4, True), (0.11, 1e-4, False), (0.11, 6e-3, True)]
 )
 def test_two_springs_with_one_neutral_point_are_one_hardening_spring(

@@ -19,6 +19,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PLAIN,
     TWINS,
 )
+from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.significance import counterpart, deviation
 from zendsp.physics.effects import get_effect, mechanism_of
@@ -42,10 +43,11 @@ def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...
 
 def makes_another_grow(given: Model, final: Scored, law: Term) -> bool:
     """Whether a friction of the given model surely has to be several times larger beside a law of
-    the same mechanism. Then both together imitate the missing torque, as v and v² do |v|^1.5. A
-    right law leaves the others as they are, or takes back what they had absorbed.
+    the same mechanism, or of any where the law stands upon another. Then both together imitate the
+    missing torque, as v and v² do |v|^1.5, or v and a Stribeck curve a sine of v. A right law
+    leaves the others as they are, or takes back what they had absorbed.
     """
-    mechanism = mechanism_of(law.effect)
+    alike = FRICTION if get_effect(law.effect).needs else (mechanism_of(law.effect),)
 
     def grows(known: Term) -> bool:
         key = get_effect(known.effect).parameters[0].name
@@ -56,7 +58,7 @@ def makes_another_grow(given: Model, final: Scored, law: Term) -> bool:
     return any(
         grows(t)
         for t in given.at(law.joint)
-        if t.effect in left and t.effect != law.effect and mechanism_of(t.effect) == mechanism
+        if t.effect in left and t.effect != law.effect and mechanism_of(t.effect) in alike
     )
 
 
