@@ -16,7 +16,7 @@ from zendsp.diagnosis.decide import absorbed, believed, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
-from zendsp.diagnosis.decide.rivals import _likelier
+from zendsp.diagnosis.decide.rivals import _late_alike, _likelier
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
@@ -309,6 +309,23 @@ def test_a_law_of_another_mechanism_takes_the_place_of_one_that_it_is_far_likeli
     scores[1:] *= -1  # the recordings to choose by deny it
     assert _likelier(final, rivals, scores) is None
     assert _likelier(final, [rival("inertia", -51001.0)], -scores[:2]) is None  # hardly likelier
+
+
+@pytest.mark.parametrize(
+    ("counts", "rival", "behind", "alike"),
+    [(0.0, "position_filter", 68.5, True), (1e-4, "position_filter", 68.5, False),
+     (0.0, "saturation", 68.5, False), (0.0, "position_filter", 200.0, False)],
+)  # fmt: skip
+def test_beside_the_stated_counts_a_delay_and_a_filter_of_the_position_are_not_told_apart(
+    counts: float, rival: str, behind: float, alike: bool
+) -> None:
+    """A filter behind the counts was a delay (0.97): what differed was noise (902, case 84)."""
+    sensor = SimpleNamespace(resolution=(3.8e-4,))
+    record = SimpleNamespace(measurement=SimpleNamespace(resolution=counts))
+    parts: Any = SimpleNamespace(choose=SimpleNamespace(records=[[record]]))
+    given: Any = SimpleNamespace(sensor=sensor)
+    late = term("delay", time=0.0034)
+    assert _late_alike(parts, given, late, rival, behind, 4080.0) is alike
 
 
 @pytest.mark.parametrize(("sine", "behind"), [(0.0, True), (0.06, True), (0.0928, False)])

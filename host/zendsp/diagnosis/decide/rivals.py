@@ -71,7 +71,7 @@ def law_of(
     instead = _likelier(final, [*compress(every, large)], scores[[True, *large]])
     other = [r.effect != term.effect for r in every]
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
-    weights, loose = _weights(scores), _off_counts(parts, given, joint)
+    weights = _weights(scores)
     after = discrepancy(parts.choose, final.model, joint).value
     same, lost = [], []
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
@@ -83,8 +83,7 @@ def law_of(
             behind < INSEPARABLE * first.evidence.gain
             and difference(parts.choose, rival.scored.model, final.model, joint) < least
         )
-        if loose and _late(rival.effect, term.effect):
-            near |= behind < LAW_ERROR * first.evidence.gain
+        near |= _late_alike(parts, given, term, rival.effect, behind, first.evidence.gain)
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
         else:
@@ -113,17 +112,17 @@ def law_of(
     )
 
 
-def _off_counts(parts: Parts, given: Model, joint: int) -> bool:
-    """Whether positions lie beside the counts that the model states: what came after the sensor
-    coloured its noise.
+def _late_alike(
+    parts: Parts, given: Model, term: Term, rival: str, behind: float, gain: float
+) -> bool:
+    """Whether a law and its rival make something late, explain all but the error of any law alike,
+    and positions lie beside the counts that the model states. What came after the sensor coloured
+    its noise, then, and noise tells such laws apart more than the motion does.
     """
-    resolution = parts.choose.records[0][joint - 1].measurement.resolution
-    return resolution <= 0 < per_joint(given.sensor.resolution, joint, 0.0)
-
-
-def _late(one: str, other: str) -> bool:
-    """Whether both are laws of what is late."""
-    return {get_effect(one).family, get_effect(other).family} == {"timing"}
+    counts = parts.choose.records[0][term.joint - 1].measurement.resolution > 0
+    coloured = not counts and per_joint(given.sensor.resolution, term.joint, 0.0) > 0
+    late = {get_effect(term.effect).family, get_effect(rival).family} == {"timing"}
+    return coloured and late and behind < LAW_ERROR * gain
 
 
 def _shared(names: Sequence[str], weights: Array, mechanism: str) -> dict[str, float]:
