@@ -363,10 +363,10 @@ def _with_law(
 
 
 def _alike(names: Collection[str]) -> set[str]:
-    """The names of a law of timing and of those with the same numbers."""
+    """The names of a law of timing and of those whose time is of the same kind."""
     family = {get_effect(name).family for name in names}
-    shapes = {get_effect(name).names for name in names}
-    return {e.name for e in library().values() if e.family in family and e.names in shapes}
+    times = {get_effect(name).names[0] for name in names}
+    return {e.name for e in library().values() if e.family in family and e.names[0] in times}
 
 
 def _either(decision: Decision, claim: Claim, others: Collection[str]) -> Decision:
@@ -378,8 +378,7 @@ def _either(decision: Decision, claim: Claim, others: Collection[str]) -> Decisi
 
 
 def _time(claim: Claim) -> float:
-    (quantity,) = claim.term.parameters.values()
-    return quantity.value
+    return claim.term.value(get_effect(claim.term.effect).names[0])
 
 
 def _in_place(decision: Decision, claim: Claim, name: str, jobs: int) -> Scored:
