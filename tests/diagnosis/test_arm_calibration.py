@@ -148,7 +148,7 @@ def test_a_rotor_that_calibration_moves_by_what_a_link_may_weigh_is_noted(
 @pytest.mark.parametrize("stated, named", [(0.21, True), (0.285, False)])
 def test_a_rotor_that_is_a_third_off_is_named_and_one_within_its_tolerance_is_not(record,
     stated: float, named: bool) -> None:  # type: ignore[no-untyped-def]
-    model, paths = record("rotor", Arm(rotor=0.3), True)
+    model, paths = record("rotor", Arm(rotor=0.3), True, 4.0)
     rotor = make_term(get_effect("inertia"), 2, {"amount": stated})
     model = model.with_terms((*model.terms, rotor))
     d = zendsp.diagnose(paths[0], model, paths[1], jobs=1)
@@ -165,7 +165,7 @@ def test_rotors_that_a_file_lacks_are_named_beside_a_link_without_inertia(record
     damping.
     """
     motors = (0.3, 0.4, 0.02)
-    model, paths = record("rotors", Arm(motors=motors, links=WRIST), True)
+    model, paths = record("rotors", Arm(motors=motors, links=WRIST), True, 4.0)
     d = zendsp.diagnose(paths[0], model, paths[1], jobs=1)
     found = {f.joint: f.parameters["amount"] for f in d.findings if f.effect == "inertia"}
     assert len(d.findings) == len(found) == 3

@@ -12,7 +12,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence, likely_enough, stated
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
-from zendsp.diagnosis.decide.near import ANOTHER, LEAVES_MORE, doubt
+from zendsp.diagnosis.decide.near import ANOTHER, LEAVES_MORE, TWIN, doubt
 from zendsp.diagnosis.decide.patchwork import (
     both_needed,
     draws_a_curve,
@@ -68,7 +68,8 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     doubted: set[str] = set()  # mechanisms: a law beside a doubted one may be a part of it
     for claim in decision.claims:
         key = id(claim)
-        why = fell.get(key) or doubt(confidence(claim, decision))
+        paired = any(claim is t for t in twin)
+        why = fell.get(key) or (TWIN if paired else doubt(confidence(claim, decision)))
         if claim.effect == "unknown":
             if told_apart(claim, decision, parts, given, laws):
                 keep.append(without_law(claim, decision))

@@ -24,6 +24,7 @@ from zendsp.diagnosis.decide.thresholds import (
     STATED_ALONE,
     STEEP,
     SURE,
+    UNLIKELY,
 )
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -58,7 +59,7 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
     """A claim of the mechanism without a law. Its laws keep their likelihood; a law that leaves too
     much in its own variables is unlikely.
     """
-    most = STATED_ALONE if claim.effect == "unknown" else 0.5
+    most = UNLIKELY if claim.effect == "unknown" else STATED_ALONE
     sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
     laws = {name: sure * weight for name, weight in claim.laws.items()}
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})

@@ -17,8 +17,8 @@ from zendsp.diagnosis.decide.thresholds import (
     LEFT_BY_A_LAW,
     PLAIN,
     SIMULATORS_DIFFER,
-    STATED_ALONE,
     SURE,
+    UNLIKELY,
 )
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import (
@@ -128,7 +128,7 @@ def is_no_law(effect: str, values: Mapping[str, Estimate], sure: float) -> bool:
     """Whether a claimed law only refines the fit, by its numbers. ``sure``: the probability that
     the recordings agree on them (``one_number``); no law less sure than a third is stated.
     """
-    doubted = sure < STATED_ALONE and not get_effect(effect).common
+    doubted = sure < UNLIKELY and not get_effect(effect).common
     return doubted or may_be_nothing(effect, values) or runs_out(effect, values)
 
 
