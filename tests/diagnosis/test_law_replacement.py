@@ -58,6 +58,22 @@ def test_a_friction_whose_period_divides_a_turn_is_named_on_a_shorter_travel(
     assert patchwork.part_of_a_wave(wave, 0, 1.8, unsure) is curve
 
 
+@pytest.mark.parametrize(
+    ("effect", "unsure", "curve"),
+    [
+        ("sensor_harmonic", 0.15, False),
+        ("sensor_harmonic", 0.54, True),  # on 1.2 waves; it was a damping over the position
+        ("sensor_harmonic", math.inf, False),  # of a joint that slides
+        ("ripple", 0.54, False),  # its order is whole by no law
+    ],
+)
+def test_an_error_of_the_sensor_whose_order_may_be_any_number_is_not_named(
+    effect: str, unsure: float, curve: bool
+) -> None:
+    wave = Term(effect, 1, {"order": Quantity(13.62)})
+    assert patchwork.part_of_a_wave(wave, 0, 0.55, unsure) is curve
+
+
 def test_couplings_from_one_joint_are_one_finding_and_two_frictions_are_two() -> None:
     def piece(effect: str) -> Any:
         return SimpleNamespace(terms=(Term(effect, 5, {}),), effects=(effect,))

@@ -224,9 +224,13 @@ class _Judge:
         )
 
     def _of_a_turn(self, first: Piece) -> float:
-        """How well the period of a law is known, rad; infinite where the joint slides."""
+        """How well the period (rad) or the order of a law is known; infinite where the joint
+        slides.
+        """
+        law = first.terms[0]
+        key = "order" if "order" in get_effect(law.effect).names else "period"
         turns = self.given.joint_kind(self.joint) != "linear"
-        return deviation(self.final.fit, first.terms[0], "period") if turns else math.inf
+        return deviation(self.final.fit, law, key) if turns else math.inf
 
     def _wanders(self, first: Piece) -> bool:
         """Whether a law over time leaves a friction that changes with time in each recording by

@@ -148,9 +148,12 @@ def part_of_a_wave(term: Term, beside: int, travel: float, unsure: float = math.
     no joint turns), is a whole part of a turn, as of what turns with the joint. A wave of one
     period a turn is ambiguous too over less than a turn (rad), where ``beside`` other laws over the
     position stand beside it; unless it is balanced at a multiple of a quarter turn, where an axis
-    has its zero.
+    has its zero. A sensor errs a whole number of times a turn: ``unsure`` of that number, any curve
+    of that length will do.
     """
     names = get_effect(term.effect).names
+    if "order" in names and get_effect(term.effect).site == "sensor":
+        return math.inf > 2 * PLAIN * unsure > 1.0
     if "period" in names:
         period = term.value("period")
         return period > travel and not _divides_a_turn(period, unsure)
