@@ -12,7 +12,6 @@ import reality
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of, signals_of
 
-from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.propose import OTHER, motions
@@ -34,11 +33,8 @@ from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration import convergence
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import facts
-from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
-
-CREEP = {"kind": "creep", "joint": 1, "speed": 0.002}
 
 
 @pytest.mark.parametrize(("offset", "kept"), [(0.0, "coulomb"), (0.01, "coulomb_asymmetry")])
@@ -223,79 +219,6 @@ def test_numbers_that_make_an_effect_vanish_gain_nothing() -> None:
     screen: Any = SimpleNamespace(q=np.zeros((50, 1)), left=np.linspace(0.0, 2.0, 50))
     (none, _), (gain, theta) = Screen.groups(screen, rows, 1)
     assert none == 0.0 and gain > 1.0 and theta == pytest.approx(-2.0)
-
-
-@pytest.mark.parametrize(("alone", "warm"), [(100.0, True), (500.0, False)])
-def test_findings_are_refitted_upon_a_creep_that_gains_little_and_the_search_goes_on(
-    monkeypatch: pytest.MonkeyPatch, alone: float, warm: bool
-) -> None:
-    def scored(deviance: float) -> Any:
-        return SimpleNamespace(deviance=deviance)
-
-    first: Any = SimpleNamespace(base=scored(0.0), final=scored(-1000.0))
-    upon: Any = SimpleNamespace(final=scored(-1060.0))
-    soft: Any = SimpleNamespace(deviance=-alone, model=model_of(VISCOUS, CREEP))
-    both, begun = scored(-1055.0), []
-    monkeypatch.setattr(joints, "upon", lambda *given: begun.append(given) or upon)
-    again: Any = SimpleNamespace(
-        further=lambda found: ("further", found),
-        creeping=lambda *given: both if given == (first.final, soft.model.terms[-1]) else None,
-    )
-    found = joints._upon_creep(first, soft, again, 1)
-    assert found == (("further", upon) if warm else None)
-    assert begun == [(first, soft, 1, both)] * warm
-
-
-@pytest.mark.parametrize(("ahead", "begun"), [(50.0, ["creep"]), (30.0, ["", "creep"])])
-def test_a_creep_likelier_than_every_hypothesis_comes_before_the_search(
-    ahead: float, begun: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
-    given = model_of(VISCOUS, COULOMB)
-    parts: Any = SimpleNamespace(fit=data_of(columns, given), choose=None)
-    paid = 2 * np.log(sum(rec[0].informative for rec in parts.fit.records))
-    base: Any = SimpleNamespace(deviance=0.0, model=given)
-    creep = model_of(VISCOUS, COULOMB, CREEP)
-    soft: Any = SimpleNamespace(deviance=-100.0 - ahead - paid, model=creep)
-    searched: list[str] = []
-
-    def search(_: Searcher, begin: Any) -> JointSearch:
-        searched.append("creep" if begin is soft else "")
-        return JointSearch(1, begin)
-
-    rival: Any = SimpleNamespace(value=-100.0)
-    monkeypatch.setattr(Rounds, "round", lambda *_: [rival])
-    for name, result in (("softened", soft), ("late_log", None), ("_rotor", None)):
-        monkeypatch.setattr(Searcher, name, lambda *_, result=result: result)
-    monkeypatch.setattr(Searcher, "search", search)
-    monkeypatch.setattr(joints, "is_white", lambda *_: False)
-    monkeypatch.setattr(joints, "calibrate_joint", lambda *_: base)
-    monkeypatch.setattr(joints, "with_fine_ripples", lambda _, found, __: found)
-    monkeypatch.setattr(joints, "decide", lambda _, beneath, *__: beneath)
-    found, beneath = joints._search_joint(parts, given, 1, 1, print)
-    assert searched == begun and found.base is soft and beneath == creep
-
-
-@pytest.mark.parametrize("likelier", [True, False])
-def test_creep_is_fitted_round_and_straight_where_the_known_one_is_worse(
-    likelier: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
-    data = data_of(columns, model := model_of(VISCOUS, COULOMB))
-    base: Any = SimpleNamespace(data=data, model=model, deviance=60.0 if likelier else 40.0)
-    begun: list[tuple[float, bool]] = []  # shape, whether the lead is free
-
-    def fitted(_: Data, model: Model, *__: Any, **___: Any) -> Any:
-        term = model.terms[-1]
-        begun.append((term.value("shape"), term.parameters["lead"].free))
-        return SimpleNamespace(deviance=50.0 - len(begun), began=begun[-1])
-
-    monkeypatch.setattr(forward, "fit_scored", fitted)
-    searcher = Searcher(data, 1, lambda *_: True, 1, print)
-    known = model_of(CREEP).terms[0]
-    best: Any = searcher.creeping(base, known)
-    assert begun == [(0.0, False)] * (1 if likelier else 2) + [(1.0, True)] * (not likelier)
-    assert best.began == begun[-1]
 
 
 @pytest.mark.parametrize(("white", "promise", "goes_on"), [

@@ -31,7 +31,7 @@ from zendsp.diagnosis.decide.pieces import has, rms_torque
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
+from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
@@ -41,7 +41,7 @@ from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simplify import upon
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.parent import die_with
-from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model
 
@@ -327,6 +327,7 @@ def _search_joint(
                 search, beneath = other, creeping
             else:
                 search = replace(other, base=base)  # the creep is no longer needed
+    search, beneath = _creeping_found(parts, beneath, search, searcher, tell)
     if beneath.joints == 1:  # of several, bodies and links come before what passes fast
         rippled = with_fine_ripples(parts, search, jobs)
         if rippled.fine:
@@ -348,6 +349,34 @@ def _seems(decision: Decision) -> str:
         Verdict.UNEXPLAINED: "something is missing that has no name",
     }
     return plain.get(decision.kind) or f"{laws} seems to be missing"
+
+
+def _creeping_found(
+    parts: Parts, beneath: Model, first: JointSearch, searcher: Searcher, tell: Progress
+) -> tuple[JointSearch, Model]:
+    """The search, and the model beneath it: gone on with from a dry friction that was found, where
+    that creeps; a spring, a delay or bristles beside it may only imitate it.
+    """
+    joint, jobs = first.joint, searcher.jobs
+    laws = [(get_effect(t.effect), k) for k, s in enumerate(first.steps) for t in s.chosen.terms]
+    at = next((k for law, k in laws if law.site == "dry"), None)
+    if at is None or not any(law.hidden for law, _ in laws):
+        return first, beneath
+    soft = searcher.softened(first.steps[at].chosen.scored)
+    if soft is None:
+        return first, beneath
+    tell(Step.SEARCHING.says(f"joint {joint}: with the dry friction found, that creeps"))
+    # held: without that friction nothing depends on it
+    *terms, creep = soft.model.terms
+    creeping = beneath.with_terms((*beneath.terms, creep.held()))
+    base = calibrate_joint(parts.fit, creeping, joint, jobs)
+    model = soft.model.with_terms((*terms, creep.held()))
+    dry = fit_scored(soft.data, model, joint_handles(soft.data, model, joint), (joint,), jobs=jobs)
+    step = replace(first.steps[at], chosen=replace(first.steps[at].chosen, scored=dry))
+    begun = replace(first, base=base, steps=[*first.steps[:at], step], best=dry, dropped=())
+    other = Searcher(parts.fit, joint, searcher.accept, jobs, tell, creeping).further(begun)
+    pays = other.final.deviance < first.final.deviance - WAIT
+    return (other, creeping) if pays else (first, beneath)
 
 
 def _upon_creep(
