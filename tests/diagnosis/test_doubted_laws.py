@@ -40,11 +40,13 @@ def fitted(terms: tuple[Term, ...], **std: float) -> Any:
     return SimpleNamespace(model=model, fit=fit, data=SimpleNamespace(records=[[record]]))
 
 
-@pytest.mark.parametrize(("level", "count"), [(0.0, 1), (1e-4, 1), (0.03, 0)])
+@pytest.mark.parametrize(("level", "count"), [(0.0, 1), (1e-4, 1), (0.004, 1), (0.03, 0)])
 def test_a_stribeck_curve_without_coulomb_friction_is_only_some_curve_over_the_speed(
     level: float, count: int
 ) -> None:
-    """With quadratic drag such a curve only imitates a torque with the cube of the speed."""
+    """With quadratic drag such a curve only imitates a torque with the cube of the speed. A sine of
+    the speed was one that falls to an eighth (0.95; seed 902, case 113).
+    """
     curve = term("stribeck", breakaway=0.03, velocity=4.4)
     at = (term("coulomb", level=level), curve, term("quadratic_drag", coefficient=0.0025))
     final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: at))
@@ -73,22 +75,6 @@ def test_drag_that_needs_the_known_viscous_friction_to_grow_is_not_named(
     final = fitted((term("viscous", coefficient=now), drag), coefficient=std)
     given: Any = SimpleNamespace(at=lambda _: (term("viscous", coefficient=was),))
     assert patchwork.makes_another_grow(given, final, drag) is drawn
-
-
-@pytest.mark.parametrize(
-    ("effect", "numbers", "drawn"),
-    [("stribeck", {"breakaway": 0.18, "velocity": 2.5}, True), ("coulomb", {"level": 0.2}, False)],
-)
-def test_a_curve_upon_coulomb_friction_that_needs_viscous_friction_to_grow_is_not_named(
-    effect: str, numbers: dict[str, float], drawn: bool
-) -> None:
-    """A sine of the speed was a Stribeck curve (0.95) beside three times the viscous friction (seed
-    902, case 113). Coulomb friction stands upon nothing, and says less about the shape.
-    """
-    law = term(effect, **numbers)
-    final = fitted((term("viscous", coefficient=0.05), law), coefficient=2e-4)
-    given: Any = SimpleNamespace(at=lambda _: (term("viscous", coefficient=0.016),))
-    assert patchwork.makes_another_grow(given, final, law) is drawn
 
 
 @pytest.mark.parametrize(

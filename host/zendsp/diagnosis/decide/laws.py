@@ -244,10 +244,9 @@ class _Judge:
         return surely_more(left, max(LEFT_BY_A_LAW * first.size, SIMULATORS_DIFFER))
 
     def _bends_what_it_stands_on(self, first: Piece) -> bool:
-        law = first.terms[0]
-        shaped = first.mechanism == FLUID or bool(get_effect(law.effect).needs)
-        grows = shaped and makes_another_grow(self.given, self.final, law)
-        return first.mechanism in FRICTION and (bool(self.bent) or grows)
+        return (bool(self.bent) and first.mechanism in FRICTION) or (
+            first.mechanism == FLUID and makes_another_grow(self.given, self.final, first.terms[0])
+        )
 
 
 def _turns_a_known_one(
