@@ -13,6 +13,7 @@ from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused
 from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.drives import TAKING, Drives
+from zendsp_target.serving.first_start import FirstStart
 
 Handler = Callable[[Any, str], Any]
 
@@ -45,6 +46,7 @@ class Guard:
 
     def __init__(self, drives: Drives) -> None:
         self._drives = drives
+        self._first_start = FirstStart()
         self.sees: Callable[[str], bool] = lambda host: True
         self.lost: Callable[[str], object] = drives.host_gone
 
@@ -74,11 +76,15 @@ class Guard:
 
         def run(args: Any, by: str) -> Any:
             drives.check_right(by)
+            if name == "start":
+                self._first_start.check(by)
             said = drives.before(name, args)
             if said is not None:
                 return m.Said(text=said)
-            result = handler(args, by)
+            result = self._load(handler, args, by) if name == "load" else handler(args, by)
             drives.after(name, args, by)
+            if name == "start":
+                self._first_start.started(by)
             return result
 
         act = change if name in CHANGES else run
@@ -88,6 +94,17 @@ class Guard:
             return self.watched(by, lambda: act(args, by)) if moves else act(args, by)
 
         return watched if name in (*WATCHED, "home") else act
+
+    def _load(self, handler: Handler, args: Any, by: str) -> Any:
+        """Load, and remember who did."""
+        self._first_start.loading(by)
+        try:
+            result = handler(args, by)
+        except BaseException:
+            self._first_start.failed(by)
+            raise
+        self._first_start.loaded(by)
+        return result
 
     def watched(self, by: str, do: Callable[[], Any]) -> Any:
         """Carry out ``do``, which makes a host one whose loss must be noticed; refused for a host
