@@ -168,12 +168,18 @@ class Status(Message, frozen=True):
     own: tuple[str, ...] = ()  # parameters that the program itself sets, a sentence each
     pressed: bool = False  # the machine's STOP input is active
     homings: int = 0  # that came to their end since the program was loaded
+    homing: bool = False  # the machine's homing moves it now, not the program
+
+    @property
+    def doing(self) -> str:
+        """The state in a word, *homing* where the machine's own routine moves it."""
+        return "homing" if self.homing else self.state
 
     def __repr__(self) -> str:
         trip = (self.trip.text or self.trip.reason) if self.trip else ""
         trouble = self.crash or self.unsafe or trip
         return (
-            f"<Status {self.machine}: {self.state}, drives {self.drive}, {self.t:.3f} s at"
+            f"<Status {self.machine}: {self.doing}, drives {self.drive}, {self.t:.3f} s at"
             f" {self.rate_hz:g} Hz{f', {trouble}' if trouble else ''}>"
         )
 
@@ -183,7 +189,7 @@ class Status(Message, frozen=True):
         joints = f"{counted(self.joints, 'joint')}, " if self.joints else ""  # told by the program
         rows = [
             ("machine", f"{self.machine}, {joints}{self.clock} clock"),
-            ("program", f"{self.state}, {when}"),
+            ("program", f"{self.doing}, {when}"),
             ("drives", f"{self.drive}, {self.drive_mode}"),
             ("time in ISR", f"{t.exec_mean_ns / 1e3:.1f} µs, at most {t.exec_max_ns / 1e3:.1f}"),
             ("begins late by", f"{t.late_mean_ns / 1e3:.1f} µs, at most {t.late_max_ns / 1e3:.1f}"),

@@ -7,9 +7,11 @@ import threading
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 import zendsp
 import zendsp_isr
+from zendsp.cli.entry import cli
 from zendsp.errors import Refused
 from zendsp.experiment import Lab, run_experiment
 
@@ -50,6 +52,13 @@ const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_, .read = r
 """
 
 
+def main_says(command: str, target: str) -> str:
+    """What ``zendsp COMMAND`` prints of a target."""
+    done = CliRunner().invoke(cli, [command, "-t", target])
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
 @pytest.fixture
 def machine(tmp_path: Path) -> str:
     file = tmp_path / "axis.c"
@@ -78,6 +87,13 @@ def test_homing_without_end_ends_with_the_time_it_was_given_or_with_a_pause(mach
             target.home_and_wait(0.5)
         assert target.status().state != "running" and not target.status().homed
         pause = threading.Timer(0.5, target.pause)
+        target.home()
+        seen = target.status()
+        assert seen.homing and seen.doing == "homing" and "axis: homing, drives" in repr(seen)
+        assert main_says("drive", target.name).startswith("homing, velocity mode")
+        assert "state      homing, tick" in main_says("info", target.name)
+        target.pause()
+        assert not target.status().homing
         pause.start()
         with pytest.raises(Refused, match="homing ended: by a pause, or another load"):
             target.home_and_wait()

@@ -13,7 +13,7 @@ from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, banner_lines
 from zendsp.tui.stop_process import EMERGENCY
-from zendsp_protocol.messages import JointInfo, MachineInfo
+from zendsp_protocol.messages import JointInfo, Limits, MachineInfo
 
 
 @pytest.mark.parametrize(
@@ -170,6 +170,34 @@ async def test_the_positions_of_seven_joints_have_room_beside_the_scope() -> Non
     assert told[0].split() == ["pos", "0.0000", "-1.9000", "0.0000", "3.0017", "rad"]
     assert told[1].split() == ["0.0000", "-2.0000", "0.5000", "rad"]
     assert max(map(len, told)) <= 52  # of the panel on 120 columns
+
+
+async def test_the_drives_say_how_much_of_its_range_each_joint_uses() -> None:
+    arm = MachineInfo("arm", joints=tuple(JointInfo(f"j{k}", unit="rad") for k in range(5)))
+    ends = (1.0, 1.0, 1.0, float("inf"), 2.0)
+    limits = Limits(tuple(-end for end in ends), ends, ends, ends, ends)
+    shown = Snapshot(
+        link="up", described=arm, limits=limits, position=(0.0, -0.5, 0.95, 3.0, 2.1)
+    )
+    async with _Bar().run_test():
+        told = DrivePanel().flags(shown)
+    lines = told.plain.splitlines()
+    assert lines[2:] == [
+        "range      0 %      50 %      95 %         –", "         105 %"
+    ]
+    assert max(map(len, lines)) <= 52  # of the panel on 120 columns
+    coloured = [told.plain[span.start : span.end].strip() for span in told.spans]
+    assert [text for text in coloured if "%" in text] == ["95 %", "105 %"]
+
+
+async def test_a_homing_is_told_on_every_screen() -> None:
+    app = _Bar()
+    seen = Snapshot(link="up", target="axis", state="running", drive="ready", homing=True)
+    async with app.run_test(size=(80, 5)) as pilot:
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        line = app.screen._compositor.render_strips()[1].text
+        assert "○ ready  ● homing" in line and "running" not in line
 
 
 async def test_the_next_step_after_a_trip_is_shown_beside_the_state() -> None:

@@ -56,6 +56,7 @@ def command(
     \b
     Example:  zendsp drive on && zendsp drive home && zendsp drive enable
     """
+    from zendsp.link.joints import joints_of
     from zendsp.link.outside import outside
     from zendsp.link.way_back import HOLD, said, way_back
 
@@ -81,15 +82,17 @@ def command(
                 with contextlib.suppress(Refused):
                     t.release_command()
         status = t.drive_status()
-        lines = [f"{status.state}, {_mode(status)}"]
+        seen = t.status()
+        lines = [f"{'homing' if seen.homing else status.state}, {_mode(status)}"]
         lines += [
             f"  {'✔' if c.met else '✖'} {c.name}{f': {c.advice}' if c.advice else ''}"
             for c in status.conditions
         ]
-        seen = t.status()
         held = seen.state == ProgramState.RUNNING and HOLD in t.variables() and bool(t[HOLD])
         if seen.state != ProgramState.EMPTY:  # what limits there are is known with a program
-            lines += [f"  ! {joint}" for joint in outside(seen, t.machine().joints, t.limits())]
+            machine, limits = t.machine().joints, t.limits()
+            lines += [f"  ! {joint}" for joint in outside(seen, machine, limits)]
+            lines += ["", repr(joints_of(seen, machine, limits)), ""]
         mover = status.moved_by
         moved = f", moved by {mover}" if mover not in ("", status.commander) else ""
         lines.append(

@@ -95,7 +95,7 @@ def _text(
         f"machine    {described}",
         f"loop       {status.rate_hz:g} Hz, {status.clock} clock"
         + (f"; {status.scheduling}" if status.scheduling else ""),
-        f"state      {status.state}, tick {status.tick}, drive {status.drive}",
+        f"state      {status.doing}, tick {status.tick}, drive {status.drive}",
         f"program    {_program(status.program, sources)}",
         f"hosts      {', '.join(status.hosts) or 'none'}",
     ]

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from zendsp.errors import Refused, ZendspError
+from zendsp.link.joints import Joints, joints_of
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import DriveAction, ProgramState
@@ -33,6 +34,24 @@ class Drives(Part):
         """Limits that the runtime checks every sample, below the user's code."""
         result: m.Limits = self.request("limits")
         return result
+
+    def joints(self) -> Joints:
+        """Every joint with its position, its command and its limits, as one table.
+
+        Raises
+        ------
+        Refused
+            No program is loaded: joints and limits are known with one.
+
+        Examples
+        --------
+        >>> import zendsp
+        >>> with zendsp.local("imi_planar", clock="fast") as target:
+        ...     _ = target.download("pd.c")
+        ...     [joint.position_max for joint in target.joints()]
+        [2.15, 2.15]
+        """
+        return joints_of(self.request("status"), self.machine().joints, self.limits())
 
     def set_limits(
         self,

@@ -10,7 +10,7 @@ from zendsp_protocol.states import VariableKind
 from zendsp_protocol.views import html_table, short, text_table
 
 
-class _Listing:
+class Listing:
     """Shows itself as a table, at a prompt and in a notebook."""
 
     header: tuple[str, ...]
@@ -26,7 +26,7 @@ class _Listing:
         return html_table([name.lower() for name in self.header], self.rows())
 
 
-class Dictionary(_Listing, dict[str, m.VariableInfo]):
+class Dictionary(Listing, dict[str, m.VariableInfo]):
     """The variables by name."""
 
     header = ("VARIABLE", "TYPE", "KIND", "UNIT", "MIN", "MAX", "")
@@ -40,7 +40,7 @@ class Dictionary(_Listing, dict[str, m.VariableInfo]):
         ]  # fmt: skip
 
 
-class Log(_Listing, tuple[m.Change, ...]):
+class Log(Listing, tuple[m.Change, ...]):
     """The changes of parameters, oldest first."""
 
     header = ("SAMPLE", "PARAMETER", "OLD", "NEW", "BY")

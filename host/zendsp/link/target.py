@@ -193,6 +193,7 @@ class Target:
 
     machine = _of("drives", Drives.machine)
     limits = _of("drives", Drives.limits)
+    joints = _of("drives", Drives.joints)
     set_limits = _of("drives", Drives.set_limits)
     set_drive = _of("drives", Drives.set_drive)
     home = _of("drives", Drives.home)

@@ -96,6 +96,7 @@ class LinkPort:
             limits=self._limits,
             state=s.state,
             drive=drive.state,
+            homing=s.homing,
             explicit=drive.explicit,
             program=s.program,
             clock=s.clock,
@@ -120,7 +121,7 @@ class LinkPort:
             own=s.own,
             scheduling=s.scheduling,
             io=io,
-            position=positions(s, described.joints if described else ()),
+            position=positions(s, described.joints) if described and s.homed else (),
             outside=outside(s, described.joints, self._limits)
             if described and self._limits
             else (),

@@ -86,6 +86,7 @@ class Snapshot:
     limits: Limits | None = None
     state: ProgramState | Literal[""] = ""  # "" until the target has told it
     drive: DriveState | Literal[""] = ""
+    homing: bool = False  # the machine's own routine moves it
     # the safe sequence is in use; else drives go on at start and off at pause
     explicit: bool = False
     program: str = ""
@@ -111,7 +112,8 @@ class Snapshot:
     own: tuple[str, ...] = ()  # parameters that the program itself sets, a sentence each
     scheduling: str = ""
     io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
-    # of each joint by its encoder, rad or m; also while no program computes anything
+    # of each joint by its encoder, rad or m; also while no program computes anything; none of a
+    # machine that is not homed
     position: tuple[float, ...] = ()
     outside: tuple[Outside, ...] = ()  # the joints outside their position limits
     conditions: tuple[tuple[str, bool, str], ...] = ()  # of enabling: name, met, what to do

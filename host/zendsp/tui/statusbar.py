@@ -26,6 +26,7 @@ STATE_MARKS = {
     "running": ("●", "success"),
     "enabled": ("●", "success"),
     "homed": ("◉", "primary"),
+    "homing": ("●", "warning"),
     "ready": ("○", "primary"),
     "loaded": ("○", "primary"),
     "paused": ("‖", "warning"),
@@ -241,7 +242,7 @@ class StatusBar(Widget):
         """What the target does, and who moves it."""
         c = self.app.theme_variables
         line = Text()
-        for state in dict.fromkeys((s.drive, s.state)):
+        for state in dict.fromkeys((s.drive, "homing" if s.homing else s.state)):
             if state:
                 mark, colour = STATE_MARKS.get(state, ("○", "foreground"))
                 line.append(f"{mark} {state}  ", Style(bold=True, color=c[colour]))

@@ -77,6 +77,7 @@ def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
         own=session.own_writes.told(),
         pressed=session.pressed,
         homings=int(control.homings),
+        homing=state == ProgramState.RUNNING and session.running == layout()[1].RUN_HOME,
     )
 
 

@@ -10,6 +10,7 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Button
 
+from zendsp.link.joints import percent, share_of_range
 from zendsp.tui.actions import in_keys, keys_of
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.scope.ticks import number
@@ -17,6 +18,7 @@ from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp_protocol.states import LATCHED, DriveState, ProgramState
 
 A_LINE = 4  # positions, with their unit, that have room beside the scope on 120 columns
+NEAR = 0.9  # share of its range from which a joint is near a limit
 LADDER = ("off", "ready", "homed", "enabled", "running")
 STEPS = (
     ("power", "Power o"),
@@ -120,6 +122,7 @@ class DrivePanel(Vertical):
                 some = list(dict.fromkeys(units[k : k + A_LINE]))
                 each = some if len(some) == 1 else units[k : k + A_LINE]
                 text.append(f" {', '.join(each)}\n", Style(dim=True))
+            self._used(text, s)
         for name, unit in (
             ("enc", "counts"),
             ("aout", "mV"),
@@ -142,3 +145,18 @@ class DrivePanel(Vertical):
             text.append(s.scheduling, Style(dim=True))
         text.rstrip()
         return text
+
+    def _used(self, text: Text, s: Snapshot) -> None:
+        """How much of its range each joint uses: 0 % in the middle, 100 % at a limit that trips."""
+        if s.limits is None:
+            return
+        c = self.app.theme_variables
+        ranges = zip(s.position, s.limits.position_min, s.limits.position_max, strict=False)
+        shares = [share_of_range(*each) for each in ranges]
+        for k in range(0, len(shares), A_LINE):
+            text.append(f"{'' if k else 'range':<5}", Style(dim=True))
+            for n, share in enumerate(shares[k : k + A_LINE]):
+                near = share > NEAR
+                text.append(" " if n else "")
+                text.append(f"{percent(share):>9}", Style(color=c["warning"]) if near else Style())
+            text.append("\n")

@@ -1,0 +1,59 @@
+"""Every joint beside its limits, as one table."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from zendsp.link.joints import joints_of
+from zendsp_protocol import messages as m
+from zendsp_protocol.states import DriveMode, ProgramState
+from zendsp_protocol.values import to_wire
+
+AXIS = m.JointInfo(
+    name="axis", unit="rad", counts_per_unit=1000.0, mv_per_torque=500.0, mv_per_speed=100.0
+)
+SLIDE = m.JointInfo(name="slide", unit="m", command="voltage", counts_per_unit=1e6)
+LIMITS = m.Limits(
+    position_min=(-1.0, -math.inf),
+    position_max=(3.0, math.inf),
+    speed_max=(50.0, 2.0),
+    torque_max=(10.0, 0.0),
+    command_max=(8000.0, 10000.0),
+)
+
+
+def status(mode: DriveMode = DriveMode.TORQUE, homed: bool = True) -> m.Status:
+    io = {
+        "enc": to_wire(np.array([2000.0, -500.0])),
+        "aout": to_wire(np.array([-2500.0, 1000.0])),
+    }
+    return m.Status(state=ProgramState.RUNNING, io=io, drive_mode=mode, homed=homed)
+
+
+def test_the_table_has_positions_and_commands_beside_their_limits() -> None:
+    lines = repr(joints_of(status(), (AXIS, SLIDE), LIMITS)).splitlines()
+    assert [line.split() for line in lines[1:]] == [
+        ["axis", "2.0000", "rad", "-1", "…", "3", "50", "%", "-5", "N", "m", "10", "50", "%", "50",
+         "rad/s"],
+        ["slide", "-0.0005", "m", "-inf", "…", "inf", "–", "1000", "mV", "10000", "10", "%", "2",
+         "m/s"],
+    ]  # fmt: skip
+
+
+def test_a_position_that_nothing_knows_is_not_told() -> None:
+    """Before the homing the counter stands anywhere."""
+    joint = joints_of(status(homed=False), (AXIS, SLIDE), LIMITS)[0]
+    assert math.isnan(joint.position)
+    assert joint.row()[1:4] == ("unknown", "-1 … 3", "–")
+
+
+def test_a_command_of_speed_is_told_in_what_goes_out() -> None:
+    joint = joints_of(status(DriveMode.VELOCITY), (AXIS, SLIDE), LIMITS)[0]
+    assert (joint.command, joint.command_unit, joint.command_max) == (-2500.0, "mV", 8000.0)
+
+
+def test_a_notebook_shows_it_as_a_table() -> None:
+    html = joints_of(status(), (AXIS, SLIDE), LIMITS)._repr_html_()
+    assert "<th>speed limit</th>" in html and "<td>axis</td>" in html
