@@ -67,7 +67,8 @@ def found_or_shipped(name: str | Path, shipped: Iterable[Path]) -> Path | None:
 
 
 def gather(source: Source) -> dict[str, str]:
-    """The sources of a program and of the headers beside it, by file name.
+    """The sources of a program and of the headers beside it, by file name. A shipped header that is
+    not beside it (``motion.h``) comes along too.
 
     Parameters
     ----------
@@ -107,4 +108,12 @@ def gather(source: Source) -> dict[str, str]:
             )
             if known and known not in sources and header.is_file():
                 waiting.append(header)
+            elif known == name and known not in sources and (shipped := _shipped_header(name)):
+                sources[known] = shipped.read_text(encoding="utf-8")
     return sources
+
+
+def _shipped_header(name: str) -> Path | None:
+    """The header of that bare name that comes with the shipped programs."""
+    folder = source_root() / "programs"
+    return next((each for each in folder.glob("*.h") if each.name == name), None)

@@ -89,6 +89,12 @@ def from_wire(value: WireValue) -> Value:
             raise ValueError(
                 f"packed array of unknown dtype {value.dtype!r}; known: {', '.join(DTYPES)}"
             )
+        row = np.dtype(value.dtype).itemsize * value.columns
+        if row <= 0 or len(value.data) % row:
+            raise ValueError(
+                f"packed array of {len(value.data)} bytes holds no whole number of rows of"
+                f" {value.columns} {value.dtype}"
+            )
         array = np.frombuffer(value.data, dtype=value.dtype)
         return array if value.columns == 1 else array.reshape(-1, value.columns)
     if isinstance(value, list):

@@ -14,6 +14,7 @@ import pytest
 from zendsp_isr.build import source_root
 from zendsp_isr.compiler import find_compiler
 from zendsp_isr.parts import build_machine, machine_names
+from zendsp_isr.sources import gather
 from zendsp_protocol.errors import CompileFailed
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.safety import histogram_edges
@@ -121,3 +122,14 @@ def test_every_shipped_machine_builds_and_an_unknown_one_is_named() -> None:
         assert build_machine(name).exists()
     with pytest.raises(CompileFailed, match="imi_planar"):
         build_machine("no_such_machine")
+
+
+def test_a_shipped_header_comes_along_with_a_program_of_another_folder(tmp_path: Path) -> None:
+    """Who begins with a copy of pd.c need not find and copy what it includes."""
+    text = '#include "isr.h"\n#include "motion.h"\n#include "x/motion.h"\n'
+    (tmp_path / "mine.c").write_text(text)
+    shipped = (ROOT / "programs" / "motion.h").read_text()
+    assert gather(tmp_path / "mine.c")["motion.h"] == shipped
+    (tmp_path / "motion.h").write_text("/* mine */")
+    assert gather(tmp_path / "mine.c")["motion.h"] == "/* mine */"
+    assert set(gather(tmp_path / "mine.c")) == {"mine.c", "motion.h"}

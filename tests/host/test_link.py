@@ -7,6 +7,7 @@ import threading
 import weakref
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from waiting import PATIENCE_S, until
@@ -16,14 +17,17 @@ from zendsp.errors import (
     CompileFailed,
     EndedWarning,
     Incomplete,
+    LinkError,
     Refused,
     VariableError,
 )
 from zendsp.link import ParameterSet, Target, connect
 from zendsp.matdsp import MatDSPcompile, MatDSPdownload
 from zendsp_protocol.messages import CompileResult, JointInfo, MachineInfo
+from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
 from zendsp_target.serving.lanes import THREADS
+from zendsp_target.serving.service import Service
 from zendsp_target.serving.turns import Turns
 
 
@@ -34,6 +38,24 @@ def test_write_and_read_asynchronously(running: Target) -> None:
         assert (running["Kp1"], running["on"]) == (value, bool(value % 2))
     reading = running.read(["q", "q[1]", "Kp1"])
     assert reading["q"][1] == reading["q[1]"] == -reading["q"][0]
+
+
+def test_a_target_that_tells_nonsense_of_itself_is_named(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = Service.do_info
+
+    def nonsense(self: Service, args: Any, by: str) -> Any:
+        return msgspec.structs.replace(told(self, args, by), instance="no hex")
+
+    monkeypatch.setattr(Service, "do_info", nonsense)
+    with Runtime("imi_planar", realtime=False) as runtime:
+        monitor = Monitor(runtime, Options("other", "imi_planar"))
+        try:
+            with pytest.raises(LinkError, match="malformed instance, 'no hex'"):
+                connect("other")
+        finally:
+            monitor.close()
 
 
 def test_written_values_are_read_after_a_trip_and_an_ended_program_is_reported(

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import Diagnosis, Estimate, Finding, FitTable
+from zendsp.experiment.response import FrequencyResponse
 from zendsp.experiment.result import Estimate as Measured
 from zendsp.experiment.result import Result
 from zendsp.link import Target, local
 from zendsp.physics import parse_model
 from zendsp.recording import Recording, Table
-from zendsp.reference import Limits, load_machine, make_limited
+from zendsp.reference import Limits, load_machine, make_limited, make_reference, plot_reference
 from zendsp.tui.scope import ticks
 from zendsp_protocol.views import short
 
@@ -45,6 +46,20 @@ def test_every_repr_is_one_line_that_a_person_can_read() -> None:
     assert repr(many).startswith("<Table: 60 columns: channel 0, channel 1, ")
     for thing in (load_machine("imi_planar"), recording, many):
         assert len(repr(thing)) < 120 and "\n" not in repr(thing)
+
+
+def test_a_notebook_shows_a_plot_where_nobody_has_imported_pyplot() -> None:
+    """IPython asks the figure itself; it said <Figure size 900x310 with 1 Axes> and no more."""
+    arm = load_machine("imi_planar")
+    motion = make_reference("circle", arm)
+    recording = Recording.from_columns({"q": np.zeros(5)}, 1e-3)
+    few = np.array([1.0, 2.0])
+    response = FrequencyResponse(
+        few, few + 1.0j, few, few / 2.0, few, "tau", "q", "rad/(N m)", 3, recording
+    )
+    for figure in (recording.plot(), response.plot(), plot_reference(motion, arm)):
+        shown: bytes = getattr(figure, "_repr_png_")()  # noqa: B009
+        assert shown.startswith(b"\x89PNG")
 
 
 def test_a_notebook_shows_findings_values_and_limits() -> None:

@@ -24,6 +24,7 @@ from zendsp_protocol import messages as m
 from zendsp_protocol.errors import LinkError, Refused, VariableError, VersionMismatch, ZendspError
 from zendsp_protocol.pieces import check_pieces
 from zendsp_protocol.states import DriveState, ProgramState, TripReason
+from zendsp_protocol.values import Packed, from_wire
 from zendsp_protocol.verbs import ROLES, VERBS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -375,3 +376,14 @@ def test_a_request_that_no_target_takes_in_is_not_sent() -> None:
     """When it was sent and not answered, that looked like a target that is gone."""
     with pytest.raises(Refused, match=r"update of 80 MB was not sent: .* upload"):
         codec.encode_request("update", {"values": {"tab": np.zeros(10_000_000)}}, "me")
+
+
+@pytest.mark.parametrize(
+    ("dtype", "size", "columns"), [("<f8", 12, 1), ("<f8", 16, 3), ("<f8", 16, 0), ("<i4", 4, -1)]
+)
+def test_packed_values_that_fill_no_whole_rows_are_refused(
+    dtype: str, size: int, columns: int
+) -> None:
+    words = f"of {size} bytes holds no whole number of rows of {columns} {dtype}"
+    with pytest.raises(ValueError, match=words):
+        from_wire(Packed(dtype, bytes(size), columns))

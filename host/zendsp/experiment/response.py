@@ -172,10 +172,11 @@ class FrequencyResponse:
         path : path, optional
             Also write the figure there (PNG, SVG, PDF by suffix).
         """
-        from matplotlib.figure import Figure
         from matplotlib.ticker import LogLocator, NullFormatter
 
-        figure = Figure((7.0, 6.5), layout="constrained")
+        from zendsp.recording.shown import ShownFigure
+
+        figure = ShownFigure((7.0, 6.5), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1))
         spread = self.std / np.abs(self.gain)
         axes[0].errorbar(self.f, self.magnitude_db, DB * spread, fmt=".-", lw=1.0)

@@ -116,7 +116,7 @@ class Target:
         self._reopen = reopen
         try:
             self.info: m.Info = self.request("info")
-            link.instance = bytes.fromhex(self.info.instance) or link.instance
+            link.instance = _instance(self.info.instance) or link.instance
         except BaseException:
             link.close()
             raise
@@ -300,3 +300,13 @@ class Target:
             f"<Target {self.name}: {self.info.machine}, {self.info.rate_hz:g} Hz,"
             f" {self.info.clock}{state}>"
         )
+
+
+def _instance(told: str) -> bytes:
+    """What a target calls this run of itself; empty where it is older than that."""
+    try:
+        return bytes.fromhex(told)
+    except ValueError as error:
+        raise LinkError(
+            f"the target told a malformed instance, {told[:32]!r}: is it a target of zendsp?"
+        ) from error

@@ -20,7 +20,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 
 def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | None) -> Figure:
     """See `Recording.plot`."""
-    from matplotlib.figure import Figure
+    from zendsp.recording.shown import ShownFigure
 
     chosen = list(names) if names is not None else list(recording.names)
     if not chosen:
@@ -29,7 +29,7 @@ def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | Non
     for name in chosen:
         recording[name]  # raises for a name that is not there
         panels.setdefault(_unit(recording, name), []).append(name)
-    figure = Figure(figsize=(9.0, 1.2 + 1.9 * len(panels)), layout="constrained")
+    figure = ShownFigure(figsize=(9.0, 1.2 + 1.9 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axis, (unit, members) in zip(axes, panels.items(), strict=True):
         axis.set_prop_cycle(color=COLOURS)

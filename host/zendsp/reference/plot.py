@@ -71,11 +71,12 @@ def plot_reference(
     >>> len(figure.axes)
     5
     """
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+    from zendsp.recording.shown import ShownFigure
+
     planar = machine.kind == "planar2r"
-    figure = Figure(figsize=(11 if planar else 8, 8), layout="constrained")
+    figure = ShownFigure(figsize=(11 if planar else 8, 8), layout="constrained")
     limits, unit = machine.limits, reference.unit
     motion = (
         (reference.q, limits.position_min, limits.position_max, f"q [{unit}]"),
