@@ -81,8 +81,8 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ): "names the functions that model2c writes: tests/physics/test_codegen.py compiles them",
     (
         "docs/machines.md",
-        "static int axis_home(void *h, const machine_sensors *s, machine_actuators *u) {",
-    ): SYNTAX,
+        "enum { TO_SWITCH, OFF_SWITCH, TO_INDEX, LONGEST = 20000 };   /* samples, in all */",
+    ): "takes the place of parts of the page's machine: tests/target/test_docs.py homes it",
     ("docs/machines.md", "static void axis_keep_alive(void *h) {"): SYNTAX,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/loop.md", "python benchmarks/many.py 50"): CLONE,

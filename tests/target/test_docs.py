@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from samples import rows_of
 
 from zendsp_isr.build import source_root
@@ -93,6 +94,80 @@ def test_a_machine_may_home_in_torque_mode(
     )
     assert runtime.status().homed
     assert abs(runtime.status().io["enc"][0]) <= 3  # counts: it went there, by torque
+
+
+def homing_axis(lost: bool = False) -> str:
+    """The machine of the page with its recipe of homing in place of the namesakes."""
+    code = first_code("machines.md")
+    page = (DOCS / "machines.md").read_text()
+    found = re.search(r"```c\n(enum \{ TO_SWITCH.*?)```", page, re.DOTALL)
+    assert found is not None
+    code = re.sub(r"typedef struct axis .*?\n", "", code)
+    code = re.sub(r"static void axis_(read|step)\(.*?\n}\n", "", code, flags=re.DOTALL)
+    code = code.replace("static int axis_open", f"{found[1]}\nstatic int axis_open")
+    code = code.replace("info->joints = 1;", "info->joints = info->needs_homing = info->dins = 1;")
+    code = code.replace("    snprintf(info->name", "    a->start = a->q;\n    snprintf(info->name")
+    code = code.replace(".safe = axis_safe", ".home = axis_home, .safe = axis_safe")
+    return code.replace("a->q < -2.5", "0 * (a->q < -2.5)") if lost else code
+
+
+def counted_position(runtime: Runtime) -> float:
+    """Where the counter says that the axis stands, rad."""
+    return float(runtime.status().io["enc"][0]) / (4096 / 6.283185307179586)
+
+
+@pytest.mark.parametrize("start", [0.7, -2.8, -2.4])
+def test_the_homing_of_the_page_finds_zero_from_before_on_and_behind_the_switch(
+    make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], tmp_path: Path,
+    start: float,
+) -> None:
+    """It ends in the sample after the index, which stands at -2.3 rad: 0.1 rad/s is 1e-4 rad a
+    sample, and the counter has 1.5e-3 rad.
+    """
+    machine = tmp_path / "homing_axis.c"
+    machine.write_text(homing_axis())
+    runtime = make_runtime(first_code("isr.md"), str(machine), machine_config={"q1": start})
+    for _ in range(2):
+        homings = runtime.status().homings
+        runtime.home()
+        wait_for(lambda h=homings: runtime.status().homings > h, runtime.status)
+        assert abs(counted_position(runtime) - -2.3) < 3e-3
+        assert runtime.status().trip is None and not runtime.status().homing
+
+
+def test_the_homing_of_the_page_begins_anew_after_a_stop(
+    make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], tmp_path: Path
+) -> None:
+    machine = tmp_path / "homing_axis.c"
+    machine.write_text(homing_axis())
+    runtime = make_runtime(first_code("isr.md"), str(machine), machine_config={"q1": -2.45})
+    for samples in (300, 1500, 2500):
+        runtime.home()
+        tick = runtime.status().tick
+        wait_for(
+            lambda t=tick, n=samples: runtime.status().tick > t + n or runtime.status().homed,
+            runtime.status,
+        )
+        if runtime.status().homing:
+            runtime.stop()
+            wait_for(lambda: runtime.status().trip is not None, runtime.status)
+            runtime.acknowledge()
+    runtime.home()
+    wait_for(lambda: runtime.status().homed, runtime.status)
+    assert abs(counted_position(runtime) - -2.3) < 3e-3
+
+
+def test_the_homing_of_the_page_trips_where_the_switch_never_closes(
+    make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], tmp_path: Path
+) -> None:
+    machine = tmp_path / "homing_axis.c"
+    machine.write_text(homing_axis(lost=True))
+    runtime = make_runtime(first_code("isr.md"), str(machine))
+    runtime.home()
+    wait_for(lambda: runtime.status().trip is not None, runtime.status)
+    trip = runtime.status().trip
+    assert trip is not None and trip.reason == "homing" and 20000 < trip.tick < 20100
+    assert not runtime.status().homed
 
 
 def test_every_name_of_the_header_is_on_the_page() -> None:

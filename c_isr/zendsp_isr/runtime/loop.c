@@ -167,7 +167,7 @@ static void rest(runner *r) {
 /* A simulated machine stands still in time; its panel does not. */
 static void stand_still(runner *r) {
     control *c = r->control;
-    if (c->newest == 0) {
+    if (c->newest == 0 || c->running == RUN_HOME) { /* a homing may have moved the zero */
         take_in(r);
         r->state.din = r->buffers.sensors.din;
         fill_inputs(r);
