@@ -68,6 +68,10 @@ def decode(data: bytes, kind: Any) -> Any:
     return _convert(_said(_unpack(data, "message"), data), kind, "message")
 
 
+# what a verb or field that nobody knows here most likely means
+_NEWER = " (where the host is newer than this target, upgrade zendsp on the target)"
+
+
 def _said(message: Any, data: bytes) -> Any:
     """A message of another process, without characters that a terminal would obey."""
     return shown_all(message) if suspicious(data) else message
@@ -155,7 +159,8 @@ def _decode_in_steps(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
         raise LinkError("malformed request: `verb` and `by` have to be texts")
     verb = VERBS.get(name)
     if verb is None:
-        raise LinkError(f"unknown verb {name[:MOST_NAME]!r}; known: {', '.join(VERBS)}")
+        known = ", ".join(VERBS)
+        raise LinkError(f"unknown verb {name[:MOST_NAME]!r}{_NEWER}; known: {known}")
     if verb.lane != lane:
         raise LinkError(f"verb {name!r} belongs to the lane {verb.lane!r}, not {lane!r}")
     arguments = message.get("args")
@@ -168,11 +173,16 @@ def _decode_in_steps(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
 
 
 def _check_words(arguments: Any, verb: Verb) -> None:
-    """Refuse a word that an argument may not be, and name those that it may be, which msgspec does
-    not.
+    """Refuse a field that the verb has not. Refuse a word that an argument may not be, and name
+    those that it may be, which msgspec does not.
     """
     given = arguments if type(arguments) is dict else {}
-    for field in msgspec.structs.fields(verb.arguments):
+    fields = msgspec.structs.fields(verb.arguments)
+    for name in given.keys() - {field.name for field in fields}:
+        raise LinkError(
+            f"malformed arguments of {verb.name!r}: unknown field `{str(name)[:MOST_NAME]}`{_NEWER}"
+        )
+    for field in fields:
         if isinstance(field.type, type) and issubclass(field.type, StrEnum):
             word = given.get(field.name, field.default)
             if type(word) is str and word not in list(field.type):
