@@ -236,3 +236,20 @@ def test_what_describes_a_signal_of_simulink_is_no_column_of_another_length(
     assert set(table.columns) == {"Scope.time", "Scope.signals.values"}
     with pytest.raises(RecordingError, match="describes Scope"):
         read_table(tmp_path / "scope.mat", ["Scope.signals.plotStyle"])
+
+
+def test_several_signals_of_a_scope_of_simulink_are_named_by_their_labels(tmp_path: Path) -> None:
+    """Structure with time; signals whose labels are missing, or the same, keep their numbers."""
+    rows = np.arange(5.0)[:, None]
+    for labels, names in (
+        (("theta", "tau"), {"Scope.theta", "Scope.tau"}),
+        (("theta", ""), {"Scope.signals(1).values", "Scope.signals(2).values"}),
+        (("x", "x"), {"Scope.signals(1).values", "Scope.signals(2).values"}),
+    ):
+        signals = np.zeros((1, 2), dtype=[("values", object), ("label", object)])
+        for k, label in enumerate(labels):
+            signals[0, k] = (rows + k, label)
+        scipy.io.savemat(tmp_path / "scope.mat", {"Scope": {"time": rows, "signals": signals}})
+        table = read_table(tmp_path / "scope.mat")
+        assert set(table.columns) == {"Scope.time", *names}
+    assert np.array_equal(table["Scope.signals(2).values"], rows[:, 0] + 1)

@@ -3,8 +3,9 @@
 A recording is written as ``data``, a matrix with one column per signal, time first; ``names`` and
 ``units``, cell arrays with one entry per column; and ``zendsp``, the metadata as JSON text.
 In foreign files, structures and cells are walked: the fields become names such as
-``Theta1.signals.values`` and ``Y_id{1}``. What dSPACE's ControlDesk exports has columns by the
-names of its variables, and the column ``time``.
+``Theta1.signals.values`` and ``Y_id{1}``. Several signals of a Simulink scope are named by their
+labels. What dSPACE's ControlDesk exports has columns by the names of its variables, and the column
+``time``.
 """
 
 from __future__ import annotations
@@ -153,16 +154,33 @@ def _walk(name: str, value: Any, found: Raw) -> None:
         _structure(name, value, found)
     elif not isinstance(value, np.ndarray):
         found.refused[name] = f"holds {type(value).__name__}, not numbers"
-    elif value.dtype.names:
+    elif value.dtype.names and not _labelled(name, value, found):
         for index, record in enumerate(value.reshape(-1)):
             place = name if value.size == 1 else f"{name}({index + 1})"
             if not _of_dspace(record, found):
                 _structure(place, {key: record[key] for key in value.dtype.names}, found)
+    elif value.dtype.names:
+        pass  # taken by its labels
     elif value.dtype == object:
         for index, item in enumerate(value.reshape(-1, order="F")):
             _walk(f"{name}{{{index + 1}}}", item, found)
     else:
         found.sort(name, value)
+
+
+def _labelled(name: str, value: npt.NDArray[Any], found: Raw) -> bool:
+    """Whether it is several signals of a Simulink scope, each with a label of its own: these are
+    their names then.
+    """
+    if value.size < 2 or not {SERIES, "label"} <= set(value.dtype.names or ()):
+        return False
+    records = value.reshape(-1)
+    labels = ["".join(_texts(record["label"])) for record in records]
+    if not all(labels) or len(set(labels)) < len(labels):
+        return False
+    for label, record in zip(labels, records, strict=True):
+        found.sort(f"{name.removesuffix('.signals')}.{label}", record[SERIES])
+    return True
 
 
 def _structure(place: str, fields: Mapping[str, Any], found: Raw) -> None:
