@@ -29,15 +29,30 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     stop: str = ""  # path of its stop page, see stop_page.py
 
 
+# where entries of a user stand whose sessions have the variable of XDG, and where those without
+STANDARD = ("/run/user/{uid}/zendsp", "/tmp/zendsp-{uid}")
+
+
 def folder(environment: Mapping[str, str] = os.environ) -> str:
     """Folder of the entries: ``$ZENDSP_RUNTIME_DIR``, ``$XDG_RUNTIME_DIR/zendsp`` or
     ``/tmp/zendsp-<uid>``.
     """
+    return folders(environment)[0]
+
+
+def folders(environment: Mapping[str, str] = os.environ) -> list[str]:
+    """Folders in which a host looks for entries, that of `folder` first.
+
+    A service, ``cron``, ``su`` or a connection without a session has no ``$XDG_RUNTIME_DIR``: who
+    says STOP there means a target that was started in a session too.
+    """
     own = environment.get("ZENDSP_RUNTIME_DIR")
     if own:
-        return own
+        return [own]
     runtime = environment.get("XDG_RUNTIME_DIR")
-    return os.path.join(runtime, "zendsp") if runtime else f"/tmp/zendsp-{os.getuid()}"
+    standard = [place.format(uid=os.getuid()) for place in STANDARD]
+    first = os.path.join(runtime, "zendsp") if runtime else standard[-1]
+    return list(dict.fromkeys([first, *standard]))
 
 
 def steady(path: str | os.PathLike[str]) -> bool:

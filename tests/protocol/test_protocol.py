@@ -221,6 +221,11 @@ def test_an_entry_of_the_registry_counts_only_while_its_process_lives() -> None:
         os.getpid()
     )
     assert registry.folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == "/run/user/7/zendsp"
+    uid = os.getuid()
+    session, none = f"/run/user/{uid}/zendsp", f"/tmp/zendsp-{uid}"
+    assert registry.folders({"XDG_RUNTIME_DIR": f"/run/user/{uid}"}) == [session, none]
+    assert registry.folders({}) == [none, session]
+    assert registry.folders({"ZENDSP_RUNTIME_DIR": "/x", "XDG_RUNTIME_DIR": "/y"}) == ["/x"]
     assert registry.folder({"ZENDSP_RUNTIME_DIR": "/x", "XDG_RUNTIME_DIR": "/run/user/7"}) == "/x"
 
 

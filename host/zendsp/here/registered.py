@@ -15,15 +15,23 @@ CONNECT = "ZENDSP_CONNECT"
 
 def local_entries() -> list[registry.Entry]:
     """Targets of this user on this machine whose process lives."""
+    found: dict[tuple[str, int], registry.Entry] = {}
+    for folder in registry.folders():
+        for entry in _entries_in(folder):
+            found.setdefault((entry.name, entry.pid), entry)
+    return list(found.values())
+
+
+def _entries_in(folder: str) -> list[registry.Entry]:
     entries = []
     try:
-        found = os.stat(registry.folder())
-        own = found.st_uid == os.getuid() and registry.steady(registry.folder())
+        found = os.stat(folder)
+        own = found.st_uid == os.getuid() and registry.steady(folder)
         if not own or found.st_mode & 0o022:
             return []  # somebody else's, or written by others: what stands there may lead anywhere
     except OSError:
         return []
-    for path in sorted(Path(registry.folder()).glob("*.json")):
+    for path in sorted(Path(folder).glob("*.json")):
         if not path.is_file():  # a pipe, or a device, would never end
             continue
         try:
