@@ -8,9 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 from zendsp.cli import cli
+from zendsp.errors import Refused
 from zendsp.here.registered import local_entries
 from zendsp.link import connect
 from zendsp_protocol import registry
+from zendsp_target.access.registration import check_free
 from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
 
@@ -31,6 +33,10 @@ def test_a_target_of_a_session_is_found_and_stopped_from_outside_of_it(
             try:
                 _runtime_folder(monkeypatch, of_host)
                 assert [entry.name for entry in local_entries()] == ["lone"]
+                with monkeypatch.context() as other:
+                    other.setattr("os.getpid", lambda: 1)  # as another process
+                    with pytest.raises(Refused, match="'lone' runs here already"):
+                        check_free("lone")
                 with connect("lone") as target:
                     target.download("pd.c")
                     target.start()

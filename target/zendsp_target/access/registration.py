@@ -146,13 +146,15 @@ def check_free(name: str) -> None:
     Refused
         With the number of the process that has it.
     """
-    path = Path(registry.folder()) / registry.file_name(name)
-    try:
-        entry = msgspec.json.decode(path.read_bytes(), type=registry.Entry)
-    except (OSError, msgspec.MsgspecError):
-        return
-    if entry.pid != os.getpid() and entry.born and registry.born(entry.pid) == entry.born:
-        raise Refused(
-            f"a target named {name!r} runs here already (process {entry.pid}): stop it or choose"
-            " --name"
-        )
+    for path in (Path(folder) / registry.file_name(name) for folder in registry.folders()):
+        try:
+            if path.stat().st_uid not in (os.getuid(), 0):
+                continue  # anybody may make such a folder before its user does
+            entry = msgspec.json.decode(path.read_bytes(), type=registry.Entry)
+        except (OSError, msgspec.MsgspecError):
+            continue
+        if entry.pid != os.getpid() and entry.born and registry.born(entry.pid) == entry.born:
+            raise Refused(
+                f"a target named {name!r} runs here already (process {entry.pid}): stop it or"
+                " choose --name"
+            )
