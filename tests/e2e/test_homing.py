@@ -92,6 +92,8 @@ def test_homing_without_end_ends_with_the_time_it_was_given_or_with_a_pause(mach
         assert seen.homing and seen.doing == "homing" and "axis: homing, drives" in repr(seen)
         assert main_says("drive", target.name).startswith("homing, velocity mode")
         assert "state      homing, tick" in main_says("info", target.name)
+        listed = CliRunner().invoke(cli, ["ls"]).stdout.splitlines()
+        assert [line.split()[2] for line in listed if line.startswith(target.name)] == ["homing"]
         target.pause()
         assert not target.status().homing
         pause.start()

@@ -24,7 +24,7 @@ def command(pattern: str, connect: str | None, as_json: bool) -> None:
     for one in found:
         info = one.info
         status = one.status
-        state = str(status.drive if status.trip else status.state) if status else ""
+        state = str(status.drive if status.trip else status.doing) if status else ""
         about = (
             [info.machine, state, f"{info.rate_hz:g}", info.clock, str(info.pid)]
             if info
