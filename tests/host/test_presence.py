@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import pwd
 import socket
 import subprocess
 import sys
@@ -136,7 +137,7 @@ def test_a_target_elsewhere_that_ends_is_not_waited_for(target: Target, monitor:
 
 
 def test_a_target_that_ends_is_reported_at_once_and_its_name_is_free(
-    target: Target, monitor: Monitor
+    target: Target, monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from zendsp_target.monitor import Options
 
@@ -155,10 +156,14 @@ def test_a_target_that_ends_is_reported_at_once_and_its_name_is_free(
     assert time.monotonic() < begin + PATIENCE_S / 2, "nobody is left to send it to"
     with pytest.raises(LinkError, match="no target named 'fake' runs on this machine"):
         connect("fake")
+    anna = pwd.struct_passwd(("anna", "x", 1, 1, "", "/", "/bin/sh"))
+    monkeypatch.setattr("pwd.getpwuid", lambda uid: anna)  # under sudo: root's, not of who typed it
     with pytest.raises(
-        LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"
+        LinkError, match=r"no target of anna runs on this machine .*Start one with 'zendsp target'"
     ):
         connect()
+    with pytest.raises(LinkError, match=r"\(there runs none of anna\)"):
+        connect("fake")
     Monitor(Runtime("imi_planar"), Options("fake", "imi_planar")).close()
 
 

@@ -121,13 +121,13 @@ def locate(
             )
         return names[0], endpoints, None
     more = len(entries) - LISTED
-    running = ", ".join(list(entries)[:LISTED]) or "none"
+    running = ", ".join(list(entries)[:LISTED]) or f"none of {_user()}"
     running += f" and {more} more, see 'zendsp ls'" if more > 0 else ""
     if not name:
         if not entries:
             raise LinkError(
-                "no target runs on this machine. Start one with 'zendsp target', or say where it"
-                f" is: {WHERE}"
+                f"no target of {_user()} runs on this machine (a user finds none of others). Start"
+                f" one with 'zendsp target', or say where it is: {WHERE}"
             )
         if len(entries) > 1:
             raise LinkError(f"name the target: on this machine there run {running}")
@@ -140,6 +140,16 @@ def locate(
     if problem := unreachable(entries[name]):
         raise LinkError(problem)
     return name, *reach(entries[name])
+
+
+def _user() -> str:
+    """Whose targets are looked for: under sudo, not those of who typed it."""
+    import pwd
+
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # a user without a name, as in a container
+        return f"user {os.getuid()}"
 
 
 def local(
