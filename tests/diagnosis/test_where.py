@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,10 @@ from small_models import model_of
 from zendsp.diagnosis.decide.assemble import (
     beside_given_gravity,
 )
+from zendsp.diagnosis.decide.naming import _disturbance
 from zendsp.diagnosis.decide.thresholds import TOLERANCE
+from zendsp.diagnosis.measure import bursts
+from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.where import Missing, regions
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import free_handles, get_values
@@ -76,3 +80,19 @@ def test_a_gravity_beside_the_models_own_is_reported_beside_the_given_number() -
     assert std["angle"] == pytest.approx(
         TOLERANCE * 0.4108 * np.sin(told.x[2]) / told.x[1], rel=0.01
     )
+
+
+@pytest.mark.parametrize(("largest", "laws"), [(0.05, ["saturation", "voltage_limit"]), (0.4, [])])
+def test_a_push_at_commands_that_come_at_no_other_time_may_be_a_limit_of_the_drive(
+    largest: float, laws: list[str]
+) -> None:
+    """A drive that reached its limit on the held-out recording alone was a disturbance (0.85)."""
+    command = np.full(5000, largest)
+    command[3000:3400] = 0.3
+    record = SimpleNamespace(recording="a", t0=0.0, sample_time=2e-3, n=5000, command=command)
+    each: Any = (SimpleNamespace(records=[[record]]),)
+    push = Bursts(((6.02, 6.75),), ("a",), 0.9, 0.2, 0.1, 0.01, 1.0, 1.0, (1.0,), 0.95)
+    push = replace(push, driven=bursts._driven(push, each, 1))
+    given: Any = SimpleNamespace(torque_unit=lambda _: "N m", at=lambda _: ())
+    found = _disturbance([SimpleNamespace(joint=1, bursts=push)], given)  # type: ignore[list-item]
+    assert sorted(found.indistinguishable) == laws

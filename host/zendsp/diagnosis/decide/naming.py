@@ -344,6 +344,13 @@ def _overlap(one: Bursts | None, other: Bursts | None) -> float:
     return both / max(min(sum(b - a for a, b in x.intervals) for x in (one, other)), 1e-300)
 
 
+def _limits(given: Model, joint: int) -> tuple[str, ...]:
+    """The laws by which a drive gives less than a large command asks for."""
+    had = {t.effect for t in given.at(joint)}
+    of_drive = (e for e in library().values() if e.mechanism == "actuator" and e.loosens_inertia)
+    return tuple(e.name for e in of_drive if e.over != "time" and e.name not in had)
+
+
 def _disturbance(pushed: Sequence[Decision], given: Model) -> Finding:
     """The finding of a push at one joint, or at several at once."""
     joint, found = pushed[0].joint, pushed[0].bursts
@@ -357,6 +364,12 @@ def _disturbance(pushed: Sequence[Decision], given: Model) -> Finding:
         text += (
             f" It acts on {listed(d.joint for d in others)} at the same times: something pushes the"
             " machine, or its base moves."
+        )
+    same = _limits(given, joint) if found.driven else ()
+    if same:
+        text += (
+            " The command is larger then than at any other time, so the drive may be at its limit."
+            f" This recording cannot tell it from {', '.join(same)}."
         )
     values = {
         "rms": Estimate(found.rms, found.beside, unit),
@@ -382,7 +395,7 @@ def _disturbance(pushed: Sequence[Decision], given: Model) -> Finding:
         values,
         IN_TIME,
         found.share,
-        (),
+        same,
         (),
         text,
         numbers,

@@ -90,7 +90,8 @@ class Bursts:
     ``share``: their part of its energy. ``peak``: the largest torque (N m or N). ``rms``: its RMS
     within them. ``beside``: the missing torque outside. ``least``: the squared torque above which
     it acts. ``spread``: the number of intervals that would hold its energy evenly. ``steady``: the
-    part of its energy that is slower than the observer's memory.
+    part of its energy that is slower than the observer's memory. ``driven``: the command is larger
+    within them than anywhere else.
     """
 
     intervals: tuple[tuple[float, float], ...]
@@ -103,6 +104,7 @@ class Bursts:
     spread: float
     energies: tuple[float, ...]
     steady: float
+    driven: bool = False
 
     def largest(self) -> Bursts:
         """The bursts without intervals that hold less than ``A_LARGE`` of the energy of the
@@ -300,7 +302,26 @@ def everywhere(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -
     """The bursts in all recordings of a torque found in some of them."""
     each = [lacks_of(data, model, joint) for data in parts]
     quiet = quiet_energy(each)
-    return _summed([acting_of(part, joint, quiet, found.least) for part in each], joint)
+    out = _summed([acting_of(part, joint, quiet, found.least) for part in each], joint)
+    return replace(out, driven=_driven(out, parts, joint))
+
+
+def _driven(push: Bursts, each: Sequence[Data], joint: int) -> bool:
+    """Whether half of the commands at the times of a push are larger than any other: the drive may
+    have been at its limit, or the loop resisted what pushed it.
+    """
+    within, beside = [], []
+    near = 2.0 / LACKING_BAND  # s, an observer's memory
+    for record in (rec[joint - 1] for data in each for rec in data.records):
+        t = record.t0 + record.sample_time * np.arange(record.n)
+        u, away = np.abs(record.command), np.ones(record.n, bool)
+        for (a, b), name in zip(push.intervals, push.recordings, strict=True):
+            if name == record.recording:
+                within.append(u[(t >= a) & (t <= b)])
+                away &= (t < a - near) | (t > b + near)
+        beside.append(u[away])
+    inside, most = np.concatenate([*within, []]), max(np.max(u, initial=0.0) for u in beside)
+    return bool(inside.size) and float(np.median(inside)) > float(most)
 
 
 def apart(
