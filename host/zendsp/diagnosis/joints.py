@@ -29,7 +29,7 @@ from zendsp.diagnosis.decide.fast_ripple import fine_ripples
 from zendsp.diagnosis.decide.notes import MADE_WORSE
 from zendsp.diagnosis.decide.pieces import has, rms_torque
 from zendsp.diagnosis.decide.pushes import unpushed
-from zendsp.diagnosis.measure.discrepancy import discrepancy
+from zendsp.diagnosis.measure.discrepancy import discrepancy, turns_within
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.measure.structure import Structure
@@ -363,8 +363,8 @@ def _creeping_found(
     if at is None or not any(law.hidden for law, _ in laws):
         return first, beneath
     soft = searcher.softened(first.steps[at].chosen.scored)
-    if soft is None:
-        return first, beneath
+    if soft is None or not turns_within(soft.data, joint, soft.model.terms[-1].value("speed")):
+        return first, beneath  # over more of the motion it is a law of the speed
     tell(Step.SEARCHING.says(f"joint {joint}: with the dry friction found, that creeps"))
     # held: without that friction nothing depends on it
     *terms, creep = soft.model.terms
