@@ -90,7 +90,10 @@ def detectable_bodies(
     ]
     if not sought:
         return ()
-    fit, choose = (Sums(data, model, LIMITS, jobs) for data in (parts.fit, parts.choose))
+    about = [place.hypothesis for group in sought for place in group]
+    fit, choose = (
+        Sums(data, model, LIMITS, jobs, about=about) for data in (parts.fit, parts.choose)
+    )
     left = np.array([max(d.after.value, d.after.often) for d in decisions])
     look = _Look(layout, fit, choose, parts, left)
     return tuple(s for group in sought if (s := look.smallest(group)) is not None)

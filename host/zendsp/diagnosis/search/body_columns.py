@@ -4,10 +4,10 @@ and block, and the columns of each hypothesis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -33,6 +33,7 @@ from zendsp.physics.robots.bodies import Links, body_terms, change_of, turned_gr
 from zendsp.physics.robots.rigid import SMALL
 
 Array = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 # of the RMS speed: the friction that falls with the speed (Stribeck 1902) has fallen by then. Each
 # is twice the one before, so that sums of them bend at any speed between
 FALLS = (0.1, 0.2, 0.4)
@@ -54,7 +55,9 @@ LOST = 1e6
 class Sums:
     """Gram matrices of all columns and the innovations, per joint and block; the innovations are
     the last column. ``turns``: for joints (from 1) roughly where another zero lies, rad; its torque
-    is no straight line. ``more``: further torques of a joint, (columns, n).
+    is no straight line. ``more``: further torques of a joint, (columns, n). ``about``: the only
+    hypotheses that are asked for (empty: any), the columns of the others stay 0. Of one payload,
+    two thirds of all columns; those of zeros take the dynamics of the arm once a joint.
     """
 
     def __init__(
@@ -65,6 +68,7 @@ class Sums:
         jobs: int = 1,
         turns: Mapping[int, float] = MappingProxyType({}),
         more: Columns = none,
+        about: Sequence[Hypothesis] = (),
     ) -> None:
         seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
         block = min(limits.block, seconds / limits.blocks)
@@ -74,9 +78,10 @@ class Sums:
         counts: list[Array] = []
         for rec in data.records:
             starts = np.arange(0, rec[0].n, max(10, round(block / rec[0].sample_time)))
-            work = partial(
-                _grams, model=model, starts=starts, limits=limits, turns=turns, more=more
+            columns = partial(
+                _columns, model=model, limits=limits, turns=turns, more=more, about=about
             )
+            work = partial(_grams, columns=columns, starts=starts)
             with threads(jobs) as each:
                 done = list(each(work, rec))
             grams.append(np.stack([g for g, _ in done]))
@@ -86,47 +91,57 @@ class Sums:
 
     def with_more(self, other: Sums) -> Sums:
         """The sums with the blocks of both."""
-        out = copy(self)
-        out.grams = np.concatenate([self.grams, other.grams], axis=1)
-        out.counts = np.concatenate([self.counts, other.counts], axis=1)
-        return out
+        return self._of(
+            np.concatenate([self.grams, other.grams], axis=1),
+            np.concatenate([self.counts, other.counts], axis=1),
+        )
 
-    def some(self, blocks: npt.NDArray[np.bool_]) -> Sums:
+    def some(self, blocks: Bools) -> Sums:
         """The sums with some of the blocks."""
-        out = copy(self)
-        out.grams, out.counts = self.grams[:, blocks], self.counts[:, blocks]
-        return out
+        return self._of(self.grams[:, blocks], self.counts[:, blocks])
 
     def with_torque(self, x: Array) -> Sums:
         """The sums with a torque in the recordings that the model lacks: coefficients of the
         columns, (joints, width).
         """
-        change = np.repeat(np.eye(x.shape[1] + 1)[None], len(x), axis=0)
-        change[:, :-1, -1] = -x
+        added = np.concatenate([-x, np.ones((len(x), 1))], axis=1)
+        left = product(self.grams, added[:, None])  # only the innovations change
+        grams = self.grams.copy()
+        grams[..., -1] = grams[..., -1, :] = left
+        grams[..., -1, -1] = product(left, added)
+        return self._of(grams, self.counts)
+
+    def _of(self, grams: Array, counts: Array) -> Sums:
         out = copy(self)
-        out.grams = np.einsum("jba,jkbc,jcd->jkad", change, self.grams, change, optimize=True)
+        out.__dict__.pop("whole", None)
+        out.grams, out.counts = grams, counts
         return out
 
-    @property
+    @cached_property
     def whole(self) -> Array:
         """Sum over the blocks, (joints, columns, columns)."""
         return np.asarray(self.grams.sum(axis=1))
 
 
+def product(matrices: Array, vectors: Array) -> Array:
+    """Products of matrices (..., a, b) with as many vectors (..., b)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
 def _grams(
     record: JointRecord,
-    model: Model,
+    columns: Callable[[JointRecord], tuple[Array, Bools, Bools]],
     starts: npt.NDArray[np.int_],
-    limits: BodyLimits,
-    turns: Mapping[int, float],
-    more: Columns,
 ) -> tuple[Array, Array]:
     """Gram matrices (blocks, columns, columns) and numbers of samples (blocks,) of one joint."""
-    columns, moving = _columns(record, model, limits, turns, more)
-    columns = np.ascontiguousarray(columns[:, moving].T)
+    seen, acts, moving = columns(record)
+    seen = np.ascontiguousarray(seen[:, moving].T)
     edges = np.searchsorted(np.flatnonzero(moving), [*starts, record.n])
-    parts = [columns[a:b] for a, b in pairwise(edges)]
-    return np.stack([part.T @ part for part in parts]), np.diff(edges)
+    grams = np.zeros((len(starts), len(acts), len(acts)))
+    at = np.ix_(acts, acts)
+    for gram, (a, b) in zip(grams, pairwise(edges), strict=True):
+        gram[at] = seen[a:b].T @ seen[a:b]
+    return grams, np.diff(edges)
 
 
 def _columns(
@@ -135,9 +150,10 @@ def _columns(
     limits: BodyLimits,
     turns: Mapping[int, float],
     more: Columns,
-) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Responses of all columns and the innovations, (columns + 1, n), and the samples at which the
-    joint moves.
+    about: Sequence[Hypothesis],
+) -> tuple[Array, Bools, Bools]:
+    """Responses of the columns that are not 0, and the innovations; which of all columns these are,
+    (columns + 1,); and the samples at which the joint moves.
     """
     bandwidth = min(limits.bandwidth, fastest_of(record))
     q, qd, qdd = record.motion.states
@@ -147,15 +163,14 @@ def _columns(
     slow = limits.still * speed
     gain = per_joint(model.actuator.gain, record.joint, 1.0)
     own = [np.ones(record.n), *_frictions(record, model, slow, limits.by_load), qdd]
-    torques = [*own, *_shared(links, j, model, record, turns), -gain * record.command]
+    torques = [*own, *_shared(links, j, model, record, turns, about), -gain * record.command]
     torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
     torques += list(more(record))
     damping = damping_along(record, model)
     inertia = effective_inertia(record, model)
-    all_torques = np.stack(torques)
-    acts = np.any(all_torques != 0.0, axis=1)  # only of links that the joint moves
-    seen = np.zeros_like(all_torques)
-    seen[acts] = response(record, bandwidth, inertia, damping, all_torques[acts])
+    acts = np.array([*(bool(np.any(t)) for t in torques), True])  # only links that the joint moves
+    acting = np.stack([t for t, acts_too in zip(torques, acts[:-1], strict=True) if acts_too])
+    seen = response(record, bandwidth, inertia, damping, acting)
     left = run(record, model, bandwidth).innovations
     still = max(3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), slow)
     sticks = np.flatnonzero(np.abs(qd) < still)
@@ -166,7 +181,7 @@ def _columns(
     moving[: round(0.5 / record.sample_time)] = False  # the observer settles
     if np.max(np.abs(left), initial=0.0) > LOST:
         moving[:] = False  # it has lost the track: this joint says nothing about bodies
-    return np.concatenate([seen, left[None]]), moving
+    return np.concatenate([seen, left[None]]), acts, moving
 
 
 def _frictions(
@@ -189,28 +204,40 @@ def fastest_of(record: JointRecord) -> float:
 
 
 def _shared(
-    links: Links, joint: int, model: Model, record: JointRecord, turns: Mapping[int, float]
+    links: Links,
+    joint: int,
+    model: Model,
+    record: JointRecord,
+    turns: Mapping[int, float],
+    about: Sequence[Hypothesis],
 ) -> list[Array]:
     """Columns that all joints share: ten numbers of each link, tilt about x and y, gravity's size,
     the joints' zeros, mechanism parameters.
     """
     n = record.n
+    nothing = np.zeros(n)
+    effects = {h.effect for h in about}
     out: list[Array] = []
     for k in range(len(links.bodies)):
-        out += list(links.columns(joint, k)[1]) if links.moves(joint, k) else [np.zeros(n)] * 10
+        asked = not about or any(h.of_bodies and h.joint == k + 1 for h in about)
+        felt = asked and links.moves(joint, k)
+        out += list(links.columns(joint, k)[1]) if felt else [nothing] * 10
     weight = links.weight(joint, body_terms(model))  # of what was found already too
     for key in ("angle_x", "angle_y"):
         tilt = Term("base_tilt", 1, {key: Quantity(1e-6)})
         out.append((turned_gravity(links.gravity, [tilt]) - links.gravity) / 1e-6 @ weight)
     out.append(links.gravity @ weight)
-    out += list(by_zeros(links, model, turns)[joint])
+    if not about or "zero" in effects:
+        out += list(by_zeros(links, model, turns)[joint])
+    else:
+        out += [nothing] * len(links.bodies)
     qdd = record.others[joint, 2]
     for key in calibrated(model):
         basis = record.basis.get(key)
         if basis is not None:
             out.append(basis.inertia * qdd + basis.bias)
         else:
-            out.append(np.sin(record.motion.states[0]) if key == "gravity" else np.zeros(n))
+            out.append(np.sin(record.motion.states[0]) if key == "gravity" else nothing)
     return out
 
 

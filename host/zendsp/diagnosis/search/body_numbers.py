@@ -69,7 +69,7 @@ def _refined(
     """An explanation estimated on the recordings of the fit and on those to choose by."""
     h, values = _standing(fit, layout, first, limits, jobs, aside)
     here = layout.model.with_terms((*layout.model.terms, layout.term(h, values)))
-    sums = [Sums(data, here, limits, jobs) for data in (fit, choose)]
+    sums = [Sums(data, here, limits, jobs, about=[h]) for data in (fit, choose)]
     origin = layout.place(h, values)
     one, both = (
         Solver(x, x, layout, limits, origin, aside) for x in (sums[0], sums[0].with_more(sums[1]))
@@ -118,7 +118,7 @@ def _standing(
     )
     for _ in range(limits.rounds):
         here = layout.model.with_terms((*layout.model.terms, layout.term(h, values)))
-        sums = Sums(fit, here, limits, jobs)
+        sums = Sums(fit, here, limits, jobs, about=[h])
         solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
         new = solver.estimate(h, values)
         if not solver.plausible(h, new):  # a link would have no mass left

@@ -9,7 +9,7 @@ from collections.abc import Collection
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.search.body_columns import NUISANCE, Layout, Sums
+from zendsp.diagnosis.search.body_columns import NUISANCE, Layout, Sums, product
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, Hypothesis
 
 Array = npt.NDArray[np.float64]
@@ -48,9 +48,7 @@ class Solver:
         # friction between the speeds of the fit says little beyond them, and each recording has
         # its own; a body has not
         self.chosen = self.complete if choose is fit else completed(choose.whole, outs)
-        self.rest = np.einsum(
-            "jab,jac,jcd->jbd", self.complete, whole, self.complete, optimize=True
-        )
+        self.rest = np.swapaxes(self.complete, 1, 2) @ whole @ self.complete
         self.counts = fit.counts.sum(axis=1)
 
     def beside_gain(self, by: float) -> Solver:
@@ -66,12 +64,12 @@ class Solver:
         width + 1).
         """
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        return np.asarray(np.einsum("jab,jb->ja", complete, tail))
+        return product(complete, tail)
 
     def _left(self, x: Array) -> Array:
         """The sum of squares that the fit leaves, per joint."""
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        left = np.einsum("ja,jab,jb->j", tail, self.rest, tail)
+        left = np.sum(tail * product(self.rest, tail), axis=1)
         return np.asarray(np.maximum(left, 1e-9 * self.rest[:, -1, -1]))  # less is rounding
 
     def deviance(self, x: Array) -> float:
@@ -121,10 +119,10 @@ class Solver:
         x, jac = self._linear(h, values)
         weight = self._weight(self._left(x))
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        inner = np.einsum("jab,jbp->jap", self.rest[:, :-1, :-1], jac)
-        normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
-        left_over = np.einsum("jab,jb->ja", self.rest[:, :-1], tail)
-        return normal, np.einsum("j,jap,ja->p", weight, jac, left_over)
+        inner = self.rest[:, :-1, :-1] @ jac
+        weighted = weight[:, None, None] * jac
+        left_over = product(self.rest[:, :-1], tail)
+        return over_joints(weighted, inner), over_joints(weighted, left_over)
 
     def _weight(self, left: Array) -> Array:
         """The weight of each joint's squares, of which a fit leaves this much; a joint that stands
@@ -198,10 +196,10 @@ class Solver:
             return np.zeros(0)
         x, jac = self._linear(h, values)
         full, weight = self._full(x, self.complete), self.counts / np.maximum(self._left(x), 1e-300)
-        sense = np.einsum("jab,jbp->jap", self.complete[:, :, :-1], jac)
-        force = np.einsum("jkab,jb->jka", self.fit.grams, full)
-        scores = np.einsum("j,jap,jka->kp", weight, sense, force)
-        normal = np.einsum("j,jap,jab,jbq->pq", weight, jac, self.rest[:, :-1, :-1], jac)
+        sense = weight[:, None, None] * (self.complete[:, :, :-1] @ jac)
+        force = product(self.fit.grams, full[:, None])
+        scores = (force @ sense).sum(axis=0)
+        normal = over_joints(weight[:, None, None] * jac, self.rest[:, :-1, :-1] @ jac)
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         paired = scores[:-1].T @ scores[1:]
         # neighbours are correlated (Newey and West 1987)
@@ -224,12 +222,12 @@ class Solver:
     def squares(self, x: Array) -> Array:
         """Squared innovations on the recordings to choose by, per joint."""
         full = self._full(x, self.chosen)
-        return np.asarray(np.einsum("ja,jkab,jb->j", full, self.choose.grams, full))
+        return np.asarray(np.sum(full * product(self.choose.whole, full), axis=1))
 
     def points(self, x: Array) -> Array:
         """Deviance of the blocks to choose by, (joints, blocks)."""
         full = self._full(x, self.chosen)
-        left = np.maximum(np.einsum("ja,jkab,jb->jk", full, self.choose.grams, full), 0.0)
+        left = np.maximum(product(product(self.choose.grams, full[:, None]), full), 0.0)
         counts = self.choose.counts
         mean = left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1.0)
         mean = np.maximum(mean, 1e-300)[:, None]
@@ -250,12 +248,11 @@ class Solver:
         """
         full = self._full(x, self.chosen)
         apart = self._full(other, self.chosen) - full
-        force = np.einsum("jkab,jb->jka", self.choose.grams, apart)
+        force = product(self.choose.grams, apart[:, None])
         energy = self.choose.whole[:, -1, -1]
         least = np.where(energy > 0.0, LAST_DIGITS * energy, np.inf)
         weight = self.choose.counts.sum(axis=1) / np.maximum(self.squares(x), least)
-        squares = np.einsum("j,jka,ja->k", weight, force, apart)
-        slope = np.einsum("j,jka,ja->k", weight, force, full)
+        squares, slope = (weight @ product(force, x) for x in (apart, full))
         whole = float(squares.sum())
         if whole <= 0.0:
             return 0.0
@@ -279,6 +276,11 @@ def completed(whole: Array, outs: list[list[int]]) -> Array:
     for j, g in enumerate(whole):
         out[j, outs[j]] -= solve(g[np.ix_(outs[j], outs[j])], g[outs[j], NUISANCE:])
     return out
+
+
+def over_joints(one: Array, other: Array) -> Array:
+    """The sum over the joints of products of their matrices (joints, a, p) and (joints, a, ...)."""
+    return np.asarray(np.tensordot(one, other, ((0, 1), (0, 1))))
 
 
 def normal(t: float, blocks: float) -> float:

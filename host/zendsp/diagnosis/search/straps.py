@@ -117,7 +117,9 @@ def strap_in_place_of(
         Whether it has to predict better than functions of each joint's own position, too.
     """
     wide = Potentials(layout, data[0])
-    fit, choose = (Sums(part, layout.model, limits, jobs, more=wide.torques) for part in data)
+    fit, choose = (
+        Sums(part, layout.model, limits, jobs, more=wide.torques, about=bodies) for part in data
+    )
     blocks = fit.with_more(choose)
     turn = np.arange(blocks.counts.shape[1]) // IN_A_ROW % FOLDS
     rivals = (*bodies, *((wide.alone,) if alone else ()))
