@@ -231,7 +231,7 @@ def test_numbers_that_no_machine_has_are_not_gone_on_with(monkeypatch: pytest.Mo
         def std(self, *_: Any) -> Any:
             return np.array([0.01])
 
-    monkeypatch.setattr(body_numbers, "Sums", lambda *_: None)
+    monkeypatch.setattr(body_numbers, "Sums", lambda *_, **__: None)
     monkeypatch.setattr(body_numbers, "Solver", Solver)
     monkeypatch.setattr(body_numbers, "_known_to", lambda _s, _f, values, _a: values)
     first: Any = SimpleNamespace(hypothesis=link, values=np.array([-0.1, 0.0]))
