@@ -18,7 +18,7 @@ from zendsp.diagnosis.data.series import repeats
 from zendsp.physics.calibration.joint import mechanism_value
 from zendsp.physics.kernel.smooth import gaussian
 from zendsp.physics.model import TREES, Model, per_joint
-from zendsp.physics.robots.rigid import bases
+from zendsp.physics.robots.rigid import bases, tree_torques
 from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
@@ -118,6 +118,8 @@ def rigid_torques(model: Model, states: Sequence[Array]) -> Array:
     """Torques of a model's rigid body, its gravity included, along the q, qd, qdd of each joint,
     (joints, n); without rotors beside it.
     """
+    if model.kind in TREES and model.called is None:  # whose inertias nobody asks for
+        return tree_torques(model, list(states))
     out = np.zeros((len(states), states[0].shape[1]))
     for i, basis in enumerate(bases(model, list(states))):
         for key, part in basis.items():

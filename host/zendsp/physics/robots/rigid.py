@@ -135,12 +135,18 @@ def _side_by_side(motion: list[Array]) -> tuple[Array, Array, Array]:
     return q, qd, qdd
 
 
-def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
+def tree_torques(model: Model, motion: list[Array]) -> Array:
+    """Torque of each joint of a robot's links along a motion, (joints, n), gravity included."""
     bodies, gravity = recorded_tree(model, len(motion))
-    joints = len(bodies)
-    q, qd, qdd = _side_by_side(motion)
-    torque, inertias = inverse_dynamics(bodies, gravity, q, qd, qdd), own_inertias(bodies, q)
+    return inverse_dynamics(bodies, gravity, *_side_by_side(motion)).T
+
+
+def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
+    bodies, _ = recorded_tree(model, len(motion))
+    inertias = own_inertias(bodies, _side_by_side(motion)[0]).T
     return [
-        Basis(np.ascontiguousarray(inertias[:, i]), torque[:, i] - inertias[:, i] * qdd[:, i])
-        for i in range(joints)
+        Basis(np.ascontiguousarray(inertia), torque - inertia * qdd)
+        for inertia, torque, (_, _, qdd) in zip(
+            inertias, tree_torques(model, motion), motion, strict=True
+        )
     ]
