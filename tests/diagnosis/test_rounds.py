@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from zendsp.diagnosis.measure.likelihood import (
     deviance,
     fit_scored,
 )
-from zendsp.diagnosis.search import rounds, short_fits
+from zendsp.diagnosis.search import forward, rounds, short_fits
 from zendsp.diagnosis.search.candidates import simulated
+from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import Rival
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
@@ -361,3 +363,23 @@ def test_a_fit_upon_the_models_numbers_ends_where_it_cannot_gain(
     short._upon_its_numbers(current, OFFSET, begun, -worse)
     of = [cost_of(current.data, 1, value) for value in (current.deviance, -worse)]
     assert goals == pytest.approx([of[0], of[0], of[1], of[1]])
+
+
+def test_what_is_behind_a_step_that_cannot_be_taken_is_not_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A joint of an arm that lacked nothing spent 3.4 of its 4.4 s on a round upon the
+    hypothesis that gained most.
+    """
+    base, asked = complete(2.0), []
+    far: Any = SimpleNamespace(deviance=-9e4, model=base.model)
+
+    def round_of(_: Rounds, current: Any) -> list[Rival]:
+        asked.append(current)
+        return [Rival("ripple", 1, far, 0.0, base.model.terms[:1], ())]
+
+    monkeypatch.setattr(forward, "is_white", lambda *_: False)
+    monkeypatch.setattr(Rounds, "round", round_of)
+    searcher = Searcher(base.data, 1, lambda *_, **__: False, 1, lambda _: None)
+    assert searcher._chain(base).steps == []
+    assert asked == [base]
