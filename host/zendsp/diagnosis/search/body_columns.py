@@ -55,9 +55,9 @@ LOST = 1e6
 class Sums:
     """Gram matrices of all columns and the innovations, per joint and block; the innovations are
     the last column. ``turns``: for joints (from 1) roughly where another zero lies, rad; its torque
-    is no straight line. ``more``: further torques of a joint, (columns, n). ``about``: the only
-    hypotheses that are asked for (empty: any), the columns of the others stay 0. Of one payload,
-    two thirds of all columns; those of zeros take the dynamics of the arm once a joint.
+    is no straight line. ``more``: further torques of a joint, (columns, n). ``about``: the
+    hypotheses that are asked for, empty: any. Columns of other links and zeros stay 0: for one
+    payload two thirds of all, and those of zeros take the dynamics of the arm once a joint.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ def _columns(
     damping = damping_along(record, model)
     inertia = effective_inertia(record, model)
     acts = np.array([*(bool(np.any(t)) for t in torques), True])  # only links that the joint moves
-    acting = np.stack([t for t, acts_too in zip(torques, acts[:-1], strict=True) if acts_too])
+    acting = np.stack([t for t, felt in zip(torques, acts[:-1], strict=True) if felt])
     seen = response(record, bandwidth, inertia, damping, acting)
     left = run(record, model, bandwidth).innovations
     still = max(3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), slow)
@@ -216,7 +216,6 @@ def _shared(
     """
     n = record.n
     nothing = np.zeros(n)
-    effects = {h.effect for h in about}
     out: list[Array] = []
     for k in range(len(links.bodies)):
         asked = not about or any(h.of_bodies and h.joint == k + 1 for h in about)
@@ -227,7 +226,7 @@ def _shared(
         tilt = Term("base_tilt", 1, {key: Quantity(1e-6)})
         out.append((turned_gravity(links.gravity, [tilt]) - links.gravity) / 1e-6 @ weight)
     out.append(links.gravity @ weight)
-    if not about or "zero" in effects:
+    if not about or any(h.effect == "zero" for h in about):
         out += list(by_zeros(links, model, turns)[joint])
     else:
         out += [nothing] * len(links.bodies)
