@@ -17,7 +17,7 @@ from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.claims import Claim, claims_of
-from zendsp.diagnosis.transmission.sets import Sets, torque_scale
+from zendsp.diagnosis.transmission.sets import Sets, lag_of, torque_scale
 from zendsp.diagnosis.transmission.terms import choose, may_be_off
 from zendsp.diagnosis.transmission.torsion import Motor, Twist, held_drive, lowpass
 from zendsp.diagnosis.transmission.waves import waves_of
@@ -93,6 +93,16 @@ def late(q: Array, torque: Array) -> Array:
         at = max(here - 0.8, min(here + 0.8, at))
         out[k] = at
     return -out / 1000.0
+
+
+def test_friction_before_a_spring_does_not_look_like_an_early_second_sensor() -> None:
+    def of_bodies(t: Twist) -> Twist:
+        shaken = np.random.default_rng(5).standard_normal(len(t.q))
+        noise = 6.0 * np.convolve(shaken, np.ones(40) / 40, "same")  # of accelerations
+        return replace(t, drive=t.torque + 0.03 * t.qdd + 1.8 * t.qd, torque=t.torque + noise)
+
+    measured = sets(lambda q, torque: -torque / 500.0, 3.0).each(of_bodies)
+    assert lag_of(measured, 10.0) == 0.0  # 3.2 ms early with the drive's torque beside it
 
 
 def test_a_transmission_with_internal_friction_has_hysteresis() -> None:
