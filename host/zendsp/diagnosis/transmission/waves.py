@@ -27,6 +27,7 @@ from zendsp.physics.model import Model
 
 WAVES = 2  # errors over the angle, at most
 STRIDES = 8  # grid steps of an order around the estimate from bins of the angle
+DISC = 1.0  # the order of a disc off centre, which is taken out before
 AT_BOUND = 0.9  # of half a period over the travel: a minimum there lies outside the searched range
 
 
@@ -58,6 +59,23 @@ def _beneath(twists: Sequence[Twist], order: float = 0.0, known: Array | None = 
     return regress(twists, columns, True, known)
 
 
+def _spreads(
+    twists: Sequence[Twist], order: float, sine: float, cosine: float
+) -> tuple[float, float]:
+    """Standard deviations of a wave's amplitude and of its order, with all else unknown: over one
+    period and less, an order's amplitude goes with the order.
+    """
+    columns = []
+    for t in twists:
+        slow = np.stack([t.torque, t.drive, t.qdd, np.sign(t.qd)], axis=1)[t.kept]
+        angle = order * t.q[t.kept]
+        turned = t.q[t.kept] * (sine * np.cos(angle) - cosine * np.sin(angle))
+        columns.append(np.column_stack([slow, wave(t, order), turned]))
+    spread = regress(twists, columns, True).covariance[-3:, -3:]
+    along = np.array([sine, cosine, 0.0]) / math.hypot(sine, cosine)
+    return math.sqrt(float(along @ spread @ along)), math.sqrt(float(spread[2, 2]))
+
+
 def _own_phase(twist: Twist, order: float, slow: Array) -> float:
     """The phase of an order in one recording."""
     (residual,) = _beneath([twist], known=slow).residual
@@ -84,14 +102,14 @@ def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
         return rms(_beneath(raw.fit, n).residual)
 
     for _ in range(STRIDES):
-        around = max(order - width, 2.0 * width), order + width
+        around = max(order - width, DISC), order + width
         before, order = order, float(minimize_scalar(cost, bounds=around, method="bounded").x)
         if abs(order - before) < AT_BOUND * width:
             break
     found, again = _beneath(raw.fit, order), _beneath(raw.fit)
     sine, cosine = float(found.x[-2]), float(found.x[-1])
     amplitude, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
-    std = math.sqrt(float(np.mean(np.diag(found.covariance)[-2:])))
+    std, order_std = _spreads(raw.fit, order, sine, cosine)
     without, with_it = [], []
     for twist in raw.test:
         here = _own_phase(twist, order, found.x[:-2])
@@ -104,6 +122,4 @@ def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
     sure = log_e > needed(model.joints) and held.z > PLAIN and amplitude > SURE * std
     if not sure or size <= ENOUGH * left:
         return None
-    # of a sine's frequency, from its phase at both ends of the range (Rife and Boorstyn 1974)
-    order_std = math.sqrt(12.0) * std / amplitude / span
     return Claim("wave", amplitude, std, held, log_e, size, left, order, phase, order_std)
