@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,6 +26,7 @@ import zendsp
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.absorbed import moved
+from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.search.body_explain import price_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
 from zendsp.diagnosis.search.forward import Searcher
@@ -127,6 +129,18 @@ def test_noise_in_the_command_of_one_joint_is_not_blamed_on_the_others(tmp_path:
     smoothed = prepare([read_signals(tmp_path / "run.npz", model)], model, 64.0).records[0][0]
     error = smoothed.others[:, 2].T - np.array(truth)
     assert np.all(error[50:-50].std(axis=0) < 0.1 * np.array(truth)[50:-50].std(axis=0))
+
+
+def test_a_coarse_encoder_is_no_torque_of_the_next_joint(record, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    model, (path, _) = record("complete", Arm(), friction=True)
+    rows, coarse = dict(np.load(path)), 16 * RESOLUTION
+    rows["q"][:, 1] = coarse * np.round(rows["q"][:, 1] / coarse)
+    np.savez(tmp_path / "coarse.npz", **rows)
+    counts = (RESOLUTION, coarse, RESOLUTION)
+    given = replace(model, sensor=replace(model.sensor, resolution=counts))
+    data = prepare([read_signals(tmp_path / "coarse.npz", given)], given, 64.0)
+    # fine counts: 0.0013; with its own sensor's noise alone taken off 0.0049, surely 0.0045
+    assert discrepancy(data, given, 3).low < 0.0025
 
 
 @pytest.mark.parametrize("rotor, noted", [(0.115, True), (0.102, False)])

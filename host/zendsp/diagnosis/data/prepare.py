@@ -19,6 +19,7 @@ from zendsp.physics.effects.base import Scale
 from zendsp.physics.kernel.signals import (
     Measurement,
     Motion,
+    blurred,
     measure,
     noise_beside_quantisation,
     smooth,
@@ -79,6 +80,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             f" 'urdf', 'mjcf' or 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
         )
     weights = _weights(model, within)
+    beside = _beside(s, model, smoothed)
     return tuple(
         JointRecord(
             joint=j + 1,
@@ -98,6 +100,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             columns=joint_columns(s, j),
             recording=s.whole or s.name,
             between=_between(s, model, j),
+            beside=None if beside is None else np.ascontiguousarray(beside[j]),
         )
         for j, (measurement, motion) in enumerate(smoothed)
     )
@@ -141,6 +144,22 @@ def _accelerations(s: Signals, model: Model) -> Array:
     own = np.einsum("nii,ni->ni", inverse, torque)
     every_one = np.einsum("nij,nj->ni", inverse, torque)
     return np.stack([own, every_one - own], axis=2)
+
+
+def _beside(
+    s: Signals, model: Model, smoothed: Sequence[tuple[Measurement, Motion]]
+) -> Array | None:
+    """Torques that errors of the other joints' accelerations make through the mass matrix, (joints,
+    n): one draw. None where the joints are not coupled, or not known to be.
+    """
+    if len(smoothed) < 2 or model.kind not in TREES:
+        return None
+    errors = np.stack([blurred(seen, s.sample_time, motion) for seen, motion in smoothed], axis=1)
+    every = max(1, round(POSES / s.sample_time))
+    masses = mass_matrices(recorded_tree(model, len(smoothed))[0], s.position[::every])
+    masses *= 1.0 - np.eye(len(smoothed))
+    rows = np.arange(len(errors)) // every
+    return np.asarray(np.einsum("nij,nj->in", masses[rows], errors))
 
 
 def _between(s: Signals, model: Model, j: int) -> float:

@@ -47,6 +47,8 @@ class JointRecord:
     recording: str = ""  # its name
     origin: float = 0.0  # s, of ``t0``'s clock: where the time of effects begins
     between: float = 0.0  # N m or N, RMS: torque of commands between rows
+    # N m or N, (n,): one draw of the torque that errors of the others' accelerations make here
+    beside: Array | None = None
     every: int = 1  # samples of the recording in one of these, see ``thinned``
     first: int = 0  # sample of the recording with which it begins, see ``liveliest``
     # What the kernel points to. Threads may make it at the same time: the first one stays, since
@@ -187,6 +189,7 @@ class JointRecord:
                     for key, b in self.basis.items()
                 },
                 others=means(self.others, every),
+                beside=None if self.beside is None else means(self.beside, every),
                 position=np.ascontiguousarray(self.position[some]),
                 columns={key: means(column, every) for key, column in self.columns.items()},
                 every=every,
@@ -225,6 +228,7 @@ class JointRecord:
                 ),
                 basis={k: b.each(cut) for k, b in self.basis.items()},
                 others=cut(self.others),
+                beside=None if self.beside is None else cut(self.beside),
                 position=cut(self.position),
                 columns={key: cut(column) for key, column in self.columns.items()},
                 first=self.first + begin,

@@ -10,7 +10,7 @@ position plus white noise of variance resolution²/12.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -224,7 +224,6 @@ def smooth(measurement: Measurement, sample_time: float, known: Array | None = N
     known : ndarray, shape (n, parts)
         rad/s² or m/s², held over each sample.
     """
-    lib = native()
     n = len(measurement.value)
     span = float(np.ptp(measurement.value)) or 1e-6
     window = max(5, round(SPEED_OVER / sample_time))
@@ -239,25 +238,10 @@ def smooth(measurement: Measurement, sample_time: float, known: Array | None = N
     work, out, var = np.empty(14 * n), np.empty((3, n)), np.empty((3, n))
     gains = work[9 * n :].reshape(n, 5)  # of a run: the last two are a variance and an error each
     says = measurement.variance > 0
-    p = lib.doubles
 
     def run(strength: float, acceleration: Array) -> float:
-        value: float = lib.lib.zf_smooth(
-            n,
-            sample_time,
-            strength,
-            3 * size,
-            p(np.ascontiguousarray(acceleration)),
-            p(measurement.value),
-            p(measurement.half),
-            p(measurement.variance),
-            float(measurement.value[0]),
-            v0,
-            p(work),
-            p(out),
-            p(var),
-        )
-        return value
+        begin = sample_time, strength, 3 * size, v0
+        return _smoothed(measurement, begin, acceleration, work, out, var)
 
     def errors(strength: float, acceleration: Array) -> Array:
         """Errors of one step, in standard deviations."""
@@ -279,6 +263,51 @@ def smooth(measurement: Measurement, sample_time: float, known: Array | None = N
     run(strength, brought)
     states = np.stack([out[0], out[1], out[2] + brought])
     return Motion(states, var.copy(), strength)
+
+
+def blurred(measurement: Measurement, sample_time: float, motion: Motion) -> Array:
+    """The error of a smoothed motion's mean acceleration over each sample, (n,): one draw of what
+    the sensor's noise brings and the smoothing takes away (Durbin and Koopman 2002).
+    """
+    n, rng = len(measurement.value), np.random.default_rng(0)
+    steps = motion.bandwidth * math.sqrt(sample_time) * rng.standard_normal(n)
+    late = np.cumsum(steps)  # acceleration at the end of each sample; a line leads to it
+    early = late - steps
+    speed = np.r_[0.0, np.cumsum(0.5 * (early + late))[:-1]] * sample_time
+    moved = speed * sample_time + (early / 3 + late / 6) * sample_time**2
+    noise = np.sqrt(np.maximum(measurement.variance, 0.0)) * rng.standard_normal(n)
+    seen = replace(measurement, value=np.r_[0.0, np.cumsum(moved)[:-1]] + noise)
+    out, begin = np.empty((3, n)), (sample_time, motion.bandwidth, motion.bandwidth, 0.0)
+    _smoothed(seen, begin, np.zeros(n), np.empty(14 * n), out, np.empty((3, n)))
+    error = out[1] - speed
+    return np.diff(error, append=error[-1:]) / sample_time
+
+
+def _smoothed(
+    measurement: Measurement, begin: tuple[float, float, float, float], acceleration: Array,
+    work: Array, out: Array, var: Array,
+) -> float:
+    """Minus twice the log likelihood of a smoothed motion; ``work``, ``out`` and ``var`` are
+    written. ``begin``: sample time, strength, spread of the first acceleration, first speed.
+    """
+    lib, p = native(), native().doubles
+    sample_time, strength, spread, v0 = begin
+    value: float = lib.lib.zf_smooth(
+        len(measurement.value),
+        sample_time,
+        strength,
+        spread,
+        p(np.ascontiguousarray(acceleration)),
+        p(measurement.value),
+        p(measurement.half),
+        p(measurement.variance),
+        float(measurement.value[0]),
+        v0,
+        p(work),
+        p(out),
+        p(var),
+    )
+    return value
 
 
 def noise_beside_quantisation(y: Array, resolution: float) -> float:
