@@ -292,8 +292,8 @@ def test_each_kind_of_friction_has_its_own_sides_of_a_torque_sensor() -> None:
         _with_sides(Finding("", 1, {}, 0.9, 1.0, (), (), "F.", {}, kind), sides, unit).sentence
         for kind, unit in (("dry_friction", "N m"), ("fluid_friction", "N m s/rad"))
     ]
-    assert "motor's side: dry friction 0.2 and 0.01 N m." in said[0]
-    assert "load's side: viscous friction 0.001 and 0.04 N m s/rad." in said[1]
+    assert "motor's side: dry friction of 0.2 N m before it and of 0.01 N m after it." in said[0]
+    assert "friction of 0.001 N m s/rad before it and of 0.04 N m s/rad after it." in said[1]
 
 
 def test_friction_over_temperature_between_recordings_that_are_each_at_one_temperature() -> None:

@@ -62,6 +62,8 @@ def verdict_sentence(
     'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
     >>> verdict_sentence(Verdict.MISSING, [(WORDS["inertia"], ("payload",), 2)])
     'Other than the model says: a mass or an inertia (payload) at joint 2.'
+    >>> verdict_sentence(Verdict.MISSING, [(TILTED, ("base_tilt",), 1)])
+    'Other than the model says: how the base stands (base_tilt).'
     >>> verdict_sentence(Verdict.COMPLETE, [], left=[(1, 0.015)]).rpartition(" and ")[2]
     'has no name: 1.5 % of the torque of joint 1.'
     >>> verdict_sentence(Verdict.UNEXPLAINED, [], doubted=[("backlash", 1)])[:73]
@@ -106,7 +108,10 @@ def verdict_sentence(
     joints: dict[str, list[int]] = {}
     for joint, words in at.items():
         joints.setdefault(" and ".join(words), []).append(joint)
-    where = [f"{what} at {listed(numbers)}" for what, numbers in joints.items()]
+    where = [  # a base is no joint's
+        what if what.startswith(TILTED) and " and " not in what else f"{what} at {listed(numbers)}"
+        for what, numbers in joints.items()
+    ]
     masses = all(word in (WORDS["inertia"], TILTED) for word, _, _ in found)
     begin = "Other than the model says" if masses else "Missing physics"
     return f"{begin}: {'; '.join(where)}."

@@ -170,7 +170,10 @@ def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
             "viscous_before": sides.viscous[0][0],
             "viscous_after": sides.viscous[1][0],
         }
-        text = f"{f.sentence} It acts {words}: {name} friction {before:.2g} and {after:.2g} {unit}."
+        text = (
+            f"{f.sentence} It acts {words}: {name} friction of {before:.2g} {unit} before it and of"
+            f" {after:.2g} {unit} after it."
+        )
         return replace(f, sentence=text, numbers={**f.numbers, "details": details})
     gain, std = sides.gain
     if std < GAIN and "torque_gain" in f.indistinguishable and abs(gain - 1.0) < PLAIN * std:
