@@ -125,7 +125,7 @@ def with_their_links(
     their own. The joints are taken one after the other, each time the one that explains the machine
     best, as long as that claims no more and predicts no worse.
     """
-    felt, now, explained = divided(given), parts, first
+    felt, now, explained = divided(beneath), parts, first
     while found := _claimed(explained, "transmission", "measurement") - felt:
         tell(Step.ASSEMBLING.says("the links that nobody sees: what the other joints feel"))
         tried = []

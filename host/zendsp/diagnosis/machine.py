@@ -256,6 +256,8 @@ def _beneath(
     measured = measured_transmissions(parts, bodies.model, jobs)
     measured_motion, bare = with_ties(measured_motion, measured), with_ties(parts, measured)
     beneath = upon(bodies.model, measured)
+    if (behind := divided(beneath)) - divided(given):  # others feel the links of measured ones too
+        bare = with_links(measured_motion, beneath, behind)
     parts = with_bodies(bare, beneath)
 
     def known_by(explained: Explained) -> Found:

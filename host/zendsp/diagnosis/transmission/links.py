@@ -16,6 +16,13 @@ from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
+from zendsp.physics.kernel.signals import (
+    Array,
+    find_resolution,
+    measure,
+    noise_beside_quantisation,
+    smooth,
+)
 from zendsp.physics.model import Model
 from zendsp.physics.robots.rigid import bases
 
@@ -39,7 +46,7 @@ def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
     """The recordings, in which every joint feels the links of some others instead of their recorded
     positions.
 
-    A link moves as the observer of its joint estimates with ``model``.
+    A link moves as its own sensor says, or as the observer of its joint estimates with ``model``.
 
     Parameters
     ----------
@@ -66,6 +73,10 @@ def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Re
     side: Literal["seen", "beyond"] = "seen" if model.sensor.side == "load" else "beyond"
     for joint in joints:
         record = rec[joint - 1]
+        if model.sensor.side != "load" and "position_load" in record.columns:
+            states = _measured(record.columns["position_load"], record.sample_time)
+            links[joint - 1] = within_samples(states, record.sample_time)
+            continue
         link = run(record, model, data.bandwidth[joint - 1], inner=data.inner, states=side)
         if link.diverged:
             continue
@@ -89,3 +100,10 @@ def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Re
             else record
         )
     return tuple(out)
+
+
+def _measured(load: Array, sample_time: float) -> Array:
+    """The motion of a link by its own sensor, (3, n)."""
+    step = find_resolution(load)
+    seen = measure(load, sample_time, step, noise_beside_quantisation(load, step))
+    return smooth(seen, sample_time).states
