@@ -109,6 +109,8 @@ def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
     found, again = _beneath(raw.fit, order), _beneath(raw.fit)
     sine, cosine = float(found.x[-2]), float(found.x[-1])
     amplitude, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
+    if amplitude == 0.0:  # of the disc's own order nothing is left
+        return None
     std, order_std = _spreads(raw.fit, order, sine, cosine)
     without, with_it = [], []
     for twist in raw.test:
