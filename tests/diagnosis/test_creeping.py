@@ -75,20 +75,20 @@ def test_a_creep_likelier_than_every_hypothesis_comes_before_the_search(
 
 
 @pytest.mark.parametrize(
-    ("effects", "soft", "left", "creeps"),
+    ("effects", "level", "left", "creeps"),
     [
-        (("coulomb", "elasticity"), 0.002, -500.0, True),
-        (("coulomb", "presliding"), 0.002, -500.0, True),
-        (("coulomb", "elasticity"), 0.002, -280.0, False),  # the spring explains more
-        (("coulomb", "elasticity"), 0.28, -500.0, False),  # it is a law of the speed (a TX40)
-        (("coulomb", "elasticity"), None, -500.0, False),  # creep does not pay
-        (("coulomb", "gravity"), 0.002, -500.0, False),  # nothing that imitates it
-        (("elasticity",), 0.002, -500.0, False),  # no dry friction
+        (("coulomb", "elasticity"), 0.03, -500.0, True),
+        (("coulomb", "presliding"), 0.03, -500.0, True),
+        (("coulomb", "elasticity"), 0.03, -280.0, False),  # the spring explains more
+        (("coulomb", "elasticity"), 0.034, -500.0, False),  # its level moves (a TX40)
+        (("coulomb", "elasticity"), 0.0, -500.0, False),  # creep does not pay
+        (("coulomb", "gravity"), 0.03, -500.0, False),  # nothing that imitates it
+        (("elasticity",), 0.03, -500.0, False),  # no dry friction
     ],
 )
 def test_a_friction_that_is_found_may_creep_before_a_spring_is_believed_beside_it(
     effects: tuple[str, ...],
-    soft: float | None,
+    level: float,
     left: float,
     creeps: bool,
     monkeypatch: pytest.MonkeyPatch,
@@ -104,11 +104,8 @@ def test_a_friction_that_is_found_may_creep_before_a_spring_is_believed_beside_i
         return Rival(effect, 1, scored(-100.0), 0.0, (Term(effect, 1, {}),), ())
 
     steps = [Step(chosen(effect), (), scored(0.0)) for effect in effects]
-    first = JointSearch(1, scored(0.0), steps, scored(-300.0))
-    softened = scored(-400.0, VISCOUS, COULOMB, {**CREEP, "speed": soft}) if soft else None
-    moves: Any = SimpleNamespace(motion=SimpleNamespace(states=np.full((3, 100), 2.0)))
-    if softened is not None:
-        softened.data = SimpleNamespace(records=[[moves]])
+    first = JointSearch(1, scored(0.0), steps, scored(-300.0, VISCOUS, COULOMB))
+    softened = scored(-400.0, VISCOUS, COULOMB, CREEP) if level else None
     searcher: Any = SimpleNamespace(softened=lambda _: softened, jobs=1, accept=None)
     monkeypatch.setattr(joints, "calibrate_joint", lambda *_: scored(0.0))
     monkeypatch.setattr(joints, "joint_handles", lambda *_: ())
@@ -117,7 +114,7 @@ def test_a_friction_that_is_found_may_creep_before_a_spring_is_believed_beside_i
 
     def further(_: Searcher, found: JointSearch) -> JointSearch:
         began.append(found)
-        return replace(found, best=scored(left))
+        return replace(found, best=scored(left, VISCOUS, {**COULOMB, "level": level}, CREEP))
 
     monkeypatch.setattr(Searcher, "__init__", lambda *_: None)
     monkeypatch.setattr(Searcher, "further", further)

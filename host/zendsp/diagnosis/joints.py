@@ -29,7 +29,8 @@ from zendsp.diagnosis.decide.fast_ripple import fine_ripples
 from zendsp.diagnosis.decide.notes import MADE_WORSE
 from zendsp.diagnosis.decide.pieces import has, rms_torque
 from zendsp.diagnosis.decide.pushes import unpushed
-from zendsp.diagnosis.measure.discrepancy import discrepancy, turns_within
+from zendsp.diagnosis.decide.thresholds import LAW_ERROR
+from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.measure.structure import Structure
@@ -363,8 +364,8 @@ def _creeping_found(
     if at is None or not any(law.hidden for law, _ in laws):
         return first, beneath
     soft = searcher.softened(first.steps[at].chosen.scored)
-    if soft is None or not turns_within(soft.data, joint, soft.model.terms[-1].value("speed")):
-        return first, beneath  # over more of the motion it is a law of the speed
+    if soft is None:
+        return first, beneath
     tell(Step.SEARCHING.says(f"joint {joint}: with the dry friction found, that creeps"))
     # held: without that friction nothing depends on it
     *terms, creep = soft.model.terms
@@ -375,8 +376,17 @@ def _creeping_found(
     step = replace(first.steps[at], chosen=replace(first.steps[at].chosen, scored=dry))
     begun = replace(first, base=base, steps=[*first.steps[:at], step], best=dry, dropped=())
     other = Searcher(parts.fit, joint, searcher.accept, jobs, tell, creeping).further(begun)
+    was, now = (_dry_level(found.final.model, joint) for found in (first, other))
+    # smooth over more of the motion it is a law of the speed
+    turns = abs(now - was) < LAW_ERROR * was
     pays = other.final.deviance < first.final.deviance - WAIT
-    return (other, creeping) if pays else (first, beneath)
+    return (other, creeping) if turns and pays else (first, beneath)
+
+
+def _dry_level(model: Model, joint: int) -> float:
+    """The level of all dry friction of a joint, N m or N."""
+    laws = [(t, get_effect(t.effect)) for t in model.at(joint)]
+    return sum(t.value(law.parameters[0].name) for t, law in laws if law.site == "dry")
 
 
 def _upon_creep(

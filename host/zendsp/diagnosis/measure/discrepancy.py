@@ -351,14 +351,6 @@ def reversals(record: JointRecord, band: float) -> npt.NDArray[np.bool_]:
     return widened(slow, around)
 
 
-def turns_within(data: Data, joint: int, speed: float) -> bool:
-    """Whether a joint reverses, as ``reversals`` has it, all the time that it is slower than this
-    speed, rad/s or m/s.
-    """
-    each = (np.abs(rec[joint - 1].motion.states[1]) for rec in data.records)
-    return speed < TURNING * max(float(np.quantile(row, FASTEST)) for row in each)
-
-
 def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
     """The part of the energy between two models that acts at reversals, beyond the reversals' part
     of the time: 0 for a torque that acts always, 1 for one that acts only there, or where the joint
