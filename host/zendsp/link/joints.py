@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
-import numpy as np
-
 from zendsp.link.listings import Listing
 from zendsp.link.outside import positions
 from zendsp.link.variables import plain
@@ -56,7 +54,8 @@ class Joints(Listing, tuple[Joint, ...]):
 
 def joints_of(status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits) -> Joints:
     """The joints by a status, what the machine says of them, and the limits in force."""
-    out = np.ravel(plain(status.io.get("aout", ())))
+    out = plain(status.io.get("aout", ()))
+    out = out if isinstance(out, list | tuple) else [out]
     torque = status.drive_mode == "torque"
     known = positions(status, joints)
     found = []

@@ -50,9 +50,8 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
     for (int l = 0; l < LANES; l++) {
         double delay = M[l].delay, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0;
         double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0;
-        double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, keep = 0, column_late = 0;
-        double creep = 0, creep_lead = 0, damp = 0, dry_load = 0;
-        const double row = M->T; /* s */
+        double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
+        double creep = 0, creep_lead = 0, damp = 0, dry_load = 0, keep = 0, row = M->T; /* s */
         int two_mass = 0, lag_on = 0, drives = 0, senses = 0, hung = 0, loaded = 0, straight = 0;
         for (int i = 0; i < M->nfx; i++) {
             const double *p = M[l].p + i * MAXP;
