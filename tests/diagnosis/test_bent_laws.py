@@ -73,6 +73,7 @@ def _law(effect: str, neutral: float = 0.0) -> Claim:
         (_law("coulomb"), _law("stribeck"), False, False),  # stands upon it
         (_law("stribeck"), _law("coulomb"), False, False),
         (_law("dead_zone"), _law("delay"), False, False),
+        (_law("delay"), _law("voltage_limit"), False, False),  # nor is a time bent by a limit
     ],
 )
 def test_a_law_that_another_one_has_to_patch_draws_a_curve(
@@ -133,3 +134,15 @@ def test_a_law_is_named_from_the_confidence_that_its_neighbours_leave(
     nothing: Any = None
     found = believed._goes_on(outcome.claims[0], nothing, outcome, PARTS)
     assert found == (ahead if named else None)
+
+
+@pytest.mark.parametrize(("size", "stands"), [(0.0015, False), (0.02, True)])
+def test_a_mechanism_without_a_law_is_as_large_as_a_function_of_the_state_has_to_be(
+    size: float, stands: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """0.15 % of a complete machine's torque was an actuator without a law, 0.93."""
+    monkeypatch.setattr(believed, "_ahead", lambda *_: -0.1)
+    monkeypatch.setattr(believed, "told_apart", lambda *_: True)
+    doubted = of_one_claim(claim_of(Term("dead_zone", 1, {}), size), 1.5 * size, 0.0)
+    outcome = believed.believed(doubted, None, None, 1)  # type: ignore[arg-type]
+    assert [c.effect for c in outcome.claims] == ["unknown"] * stands

@@ -79,7 +79,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
             and not claim.is_constant  # which is a function of any variable
-            and claim.size > decision.after.value
+            and claim.size > max(decision.after.value, OF_STATE)
             and not _turns_otherwise(claim, decision, parts)
             and told_apart(claim, decision, parts, given, laws - {claim.effect})
         ):

@@ -113,7 +113,7 @@ def bends(final: Scored, other: Claim, law: Claim, apart: bool) -> bool:
     waves = "order" in one.names and "order" in more.names
     settings = one is more and not all(p.fitted for p in one.parameters)
     upon = one.coupled or bool(more.needs) or more.name in one.needs
-    if waves or settings or upon or more.family == "timing":
+    if waves or settings or upon or "timing" in (one.family, more.family):
         return False
     return (not apart or one is more) and not both_needed(final, law, other)
 
