@@ -307,7 +307,7 @@ def test_beside_the_stated_counts_a_delay_and_a_filter_of_the_position_are_not_t
 ) -> None:
     """A filter behind the counts was a delay (0.97): what differed was noise (902, case 84)."""
     sensor = SimpleNamespace(resolution=(3.8e-4,))
-    record = SimpleNamespace(measurement=SimpleNamespace(resolution=counts))
+    record = SimpleNamespace(joint=1, measurement=SimpleNamespace(resolution=counts))
     parts: Any = SimpleNamespace(choose=SimpleNamespace(records=[[record]]))
     given: Any = SimpleNamespace(sensor=sensor)
     late = term("delay", time=0.0034)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -321,3 +322,25 @@ def test_a_search_upon_more_terms_is_fitted_to_its_end(monkeypatch: pytest.Monke
     monkeypatch.setattr(simplification, "simplify", lambda search, *_: (search.best, ()))
     again = simplification.upon(JointSearch(1, scored(0.0)), scored(-10.0), 1)
     assert again.best is not None and again.best.deviance == -1280.0
+
+
+@pytest.mark.parametrize(
+    ("counts", "worse", "late"),
+    [(0.0, 50.0, True), (0.0, 90.0, False), (1e-4, 50.0, False), (1e-4, 5.0, True)],
+)
+def test_a_delay_stands_in_place_of_a_filter_that_only_its_noise_prefers(
+    counts: float, worse: float, late: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Delays implanted in EMPS, whose positions show no count, were filters of the position."""
+    seen = {"kind": "position_filter", "joint": 1, "time_constant": 0.003}
+    filtered = model_of(VISCOUS, seen)
+    filtered = replace(filtered, sensor=replace(filtered.sensor, resolution=(3e-4,)))
+    record = SimpleNamespace(joint=1, measurement=SimpleNamespace(resolution=counts))
+    data: Any = SimpleNamespace(records=[[record]])
+    best: Any = SimpleNamespace(model=filtered, data=data, deviance=-2500.0)
+    found: Any = SimpleNamespace(
+        joint=1, base=SimpleNamespace(model=model_of(VISCOUS), deviance=0.0)
+    )
+    other: Any = SimpleNamespace(deviance=-2500.0 + worse)
+    monkeypatch.setattr(simplification, "_refitted", lambda *_: other)
+    assert simplification._as_delay(found, best, 1) is (other if late else best)

@@ -29,9 +29,11 @@ from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, Rival, price
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.short_fits import WAIT
+from zendsp.diagnosis.search.simplify import COLOURED
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import off_counts
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 
@@ -115,14 +117,13 @@ def law_of(
 def _late_alike(
     parts: Parts, given: Model, term: Term, rival: str, behind: float, gain: float
 ) -> bool:
-    """Whether a law and its rival make something late, explain all but the error of any law alike,
-    and positions lie beside the counts that the model states. What came after the sensor coloured
-    its noise, then, and noise tells such laws apart more than the motion does.
+    """Whether a law and its rival make something late, explain nearly the same (``COLOURED``),
+    and positions lie beside the counts: their noise tells such laws apart more than the motion
+    does, then.
     """
-    counts = parts.choose.records[0][term.joint - 1].measurement.resolution > 0
-    coloured = not counts and per_joint(given.sensor.resolution, term.joint, 0.0) > 0
+    coloured = off_counts(parts.choose.records[0][term.joint - 1], given)
     late = {get_effect(term.effect).family, get_effect(rival).family} == {"timing"}
-    return coloured and late and behind < LAW_ERROR * gain
+    return coloured and late and behind < COLOURED * gain
 
 
 def _shared(names: Sequence[str], weights: Array, mechanism: str) -> dict[str, float]:

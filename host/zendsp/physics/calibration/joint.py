@@ -326,6 +326,14 @@ def _sum(parts: list[Array], n: int) -> Array:
     return parts[0]
 
 
+def off_counts(record: JointRecord, model: Model) -> bool:
+    """Whether positions lie beside the counts that the model states: what came after the sensor
+    coloured its noise.
+    """
+    stated = per_joint(model.sensor.resolution, record.joint, 0.0)
+    return record.measurement.resolution <= 0.0 < stated
+
+
 def facts(
     record: JointRecord, model: Model | None = None, replaced: Mapping[str, float] | None = None
 ) -> Facts:
