@@ -51,7 +51,7 @@ from zendsp.diagnosis.joints import (
     with_their_links,
 )
 from zendsp.diagnosis.measure.bursts import everywhere
-from zendsp.diagnosis.measure.discrepancy import beyond
+from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
@@ -242,6 +242,14 @@ def _weighs(decision: Decision) -> bool:
     )
 
 
+def _lacks_less(felt: Parts, bare: Parts, model: Model) -> bool:
+    """Whether some joint surely lacks less torque with links that others feel, and none more."""
+    joints = range(1, model.joints + 1)
+    each = [[discrepancy(p.choose, model, joint) for joint in joints] for p in (felt, bare)]
+    pairs = list(zip(*each, strict=True))
+    return any(f.high < b.low for f, b in pairs) and not any(f.low > b.high for f, b in pairs)
+
+
 def _beneath(
     bodies: BodySearch,
     measured_motion: Parts,
@@ -257,7 +265,8 @@ def _beneath(
     measured_motion, bare = with_ties(measured_motion, measured), with_ties(parts, measured)
     beneath = upon(bodies.model, measured)
     if (behind := divided(beneath)) - divided(given):  # others feel the links of measured ones too
-        bare = with_links(measured_motion, beneath, behind)
+        felt = with_links(measured_motion, beneath, behind)
+        bare = felt if _lacks_less(felt, bare, beneath) else bare
     parts = with_bodies(bare, beneath)
 
     def known_by(explained: Explained) -> Found:

@@ -9,7 +9,7 @@ is taken away, the rest is fitted again, and the cost on untouched recordings de
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -37,12 +37,15 @@ from zendsp.diagnosis.transmission.torsion import (
     OF_BODIES,
     OF_MOTOR,
     Motor,
+    earlier,
     has_bodies,
     joint_inertia,
     lowpass,
     moved,
 )
 from zendsp.diagnosis.transmission.waves import waves_of
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 
@@ -62,6 +65,7 @@ class Measured:
     notes: tuple[str, ...] = ()
     side: LoadSide | None = None  # of a spring that is measured or in the model
     known: bool = False  # the model has a transmission there already
+    lag: float = 0.0  # s, by which the second sensor's column is late
 
     def stated(self, improved: Model) -> tuple[Finding, ...]:
         """The findings, with the numbers of the improved model where these are surer. Beside a
@@ -89,9 +93,29 @@ def upon(model: Model, found: Sequence[Measured]) -> Model:
 
 
 def with_ties(parts: Parts, found: Sequence[Measured]) -> Parts:
-    """The recordings with what their second sensors say of loads on springs."""
+    """The recordings with what their second sensors say of loads on springs, and with the columns
+    of those that are late in time.
+    """
     ties = {m.joint: m.side.ties for m in found if m.side is not None}
-    return replace(parts, fit=replace(parts.fit, ties=ties))
+    parts = replace(parts, fit=replace(parts.fit, ties=ties))
+    late = {m.joint: m.lag for m in found if m.lag}
+    if not late:
+        return parts
+    done = {id(data): _punctual(data, late) for data in parts.each}
+    return Parts(*(done[id(data)] for data in (parts.fit, parts.choose, parts.test)))
+
+
+def _punctual(data: Data, late: Mapping[int, float]) -> Data:
+    """The recordings with the second sensors' columns of some joints earlier by so many seconds."""
+
+    def in_time(record: JointRecord) -> JointRecord:
+        if record.joint not in late:
+            return record
+        load = earlier(record.columns["position_load"], late[record.joint], record.sample_time)
+        columns = {**record.columns, "position_load": load}
+        return replace(record, columns=columns, _thinned=None, _once={})
+
+    return replace(data, records=tuple(tuple(map(in_time, rec)) for rec in data.records))
 
 
 def measured_transmissions(parts: Parts, model: Model, jobs: int) -> list[Measured]:
@@ -163,7 +187,9 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
             f" {model.torque_unit(joint)} acts on the load, behind the spring"
             for t in rubs
         ]
-        return Measured(joint, findings, (*terms, *rubs), (), tuple(notes), side, known=True)
+        return Measured(
+            joint, findings, (*terms, *rubs), (), tuple(notes), side, known=True, lag=lag
+        )
     load = load_behind(model, inertia, motor)
     findings, terms = findings_of(parts, model, joint, scale, [*claims, *waves], load, side)
     found = {c.name for c in claims}
@@ -176,7 +202,7 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
             f"joint {joint}: its two sensors show no compliance; one of {least:.2g} {unit} would"
             " have been seen"
         )
-    out = Measured(joint, findings, terms, seen, tuple(notes), side)
+    out = Measured(joint, findings, terms, seen, tuple(notes), side, lag=lag)
     return replace(out, terms=helpful(with_ties(parts, [out]), model, joint, terms, jobs))
 
 

@@ -147,13 +147,17 @@ def of_bodies(record: JointRecord, model: Model) -> Array:
 
 def moved(twist: Twist, lag: float) -> Twist:
     """The twist with the second sensor's column earlier by ``lag`` s."""
+    motor = twist.q  # smoothed: only the shift of the load's column is wanted
+    load = earlier(twist.torsion + motor, lag, twist.sample_time)
+    return replace(twist, torsion=load - motor)
+
+
+def earlier(column: Array, lag: float, sample_time: float) -> Array:
+    """A column (n,) earlier by ``lag`` s."""
     from scipy.interpolate import CubicSpline  # takes half a second
 
-    t = np.arange(len(twist.q)) * twist.sample_time
-    motor = twist.q  # smoothed: only the shift of the load's column is wanted
-    load = CubicSpline(t, twist.torsion + motor)
-    at = np.clip(t + lag, t[0], t[-1])
-    return replace(twist, torsion=np.asarray(load(at)) - motor)
+    t = np.arange(len(column)) * sample_time
+    return np.asarray(CubicSpline(t, column)(np.clip(t + lag, t[0], t[-1])))
 
 
 def lowpass(twist: Twist, band: float) -> Twist:
