@@ -131,7 +131,9 @@ def test_noise_in_the_command_of_one_joint_is_not_blamed_on_the_others(tmp_path:
     assert np.all(error[50:-50].std(axis=0) < 0.1 * np.array(truth)[50:-50].std(axis=0))
 
 
-def test_a_coarse_encoder_is_no_torque_of_the_next_joint(record, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_coarse_encoder_is_no_torque_of_the_next_joint(
+    record: Callable[..., tuple[Model, list[Path]]], tmp_path: Path
+) -> None:
     model, (path, _) = record("complete", Arm(), friction=True)
     rows, coarse = dict(np.load(path)), 16 * RESOLUTION
     rows["q"][:, 1] = coarse * np.round(rows["q"][:, 1] / coarse)

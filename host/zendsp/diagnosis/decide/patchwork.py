@@ -10,6 +10,7 @@ import numpy as np
 
 from zendsp.diagnosis.decide.claims import Claim, Piece
 from zendsp.diagnosis.decide.thresholds import (
+    BASE_LEFT,
     CURVE,
     FALSE_DISCOVERIES,
     FINEST,
@@ -24,10 +25,6 @@ from zendsp.diagnosis.measure.significance import counterpart, deviation
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term
 
-# of what a Stribeck curve has more at rest: the Coulomb friction to which it falls is larger. Right
-# curves had 0.70 and 1.07 (seed 1003), a sine of the speed 0.14 (seed 902)
-REST = 0.25
-
 
 def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...]:
     """The laws of a joint that stand upon another one of which hardly anything is left. A Stribeck
@@ -40,7 +37,7 @@ def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...
         needs = set(get_effect(term.effect).needs) - {term.effect}
         upon = [t for t in at if t.effect in needs]
         sizes = [t.value(get_effect(t.effect).parameters[0].name) for t in (*upon, term)]
-        return bool(upon) and max(sizes[:-1]) < max(FINEST * scale, REST * sizes[-1])
+        return bool(upon) and max(sizes[:-1]) < max(FINEST * scale, BASE_LEFT * sizes[-1])
 
     return tuple(t for t in at if is_nothing(t))
 

@@ -75,6 +75,10 @@ TWINS = 0.05
 # a loop the command follows whatever the joint bears. Errors of an actuator had 0.92 to 1.0, a
 # Maxwell element and a friction of the load 0.57 and 0.74
 COMMANDED = 0.9
+# The Coulomb friction to which a Stribeck curve falls, over what the curve has more at standstill:
+# with less it is merely some curve over the speed. Right curves had 0.70 and 1.07 (seed 1003), a
+# sine of the speed 0.14 (seed 902)
+BASE_LEFT = 0.25
 # times the given number, for friction beside another law of the same kind. Beside 13 right laws
 # viscous friction came out at 0.5 to 1.3 times its given number; beside two drags that imitated
 # |v|^1.5 at 3.2 and 5.5 times; where calibration drove dry friction to zero, at 10 for |v|^1.6 (one

@@ -313,15 +313,21 @@ def _driven(push: Bursts, each: Sequence[Data], joint: int) -> bool:
     within, beside = [], []
     near = 2.0 / LACKING_BAND  # s, an observer's memory
     for record in (rec[joint - 1] for data in each for rec in data.records):
-        t = record.t0 + record.sample_time * np.arange(record.n)
-        u, away = np.abs(record.command), np.ones(record.n, bool)
-        for (a, b), name in zip(push.intervals, push.recordings, strict=True):
-            if name == record.recording:
-                within.append(u[(t >= a) & (t <= b)])
-                away &= (t < a - near) | (t > b + near)
-        beside.append(u[away])
-    inside, most = np.concatenate([*within, []]), max(np.max(u, initial=0.0) for u in beside)
+        t, u = record.t0 + record.sample_time * np.arange(record.n), np.abs(record.command)
+        within.append(u[~_away(push, record.recording, t)])
+        beside.append(u[_away(push, record.recording, t, near)])
+    inside, most = np.concatenate(within), max(np.max(u, initial=0.0) for u in beside)
     return bool(inside.size) and float(np.median(inside)) > float(most)
+
+
+def _away(
+    found: Bursts, recording: str, t: Array, near: float = 0.0
+) -> npt.NDArray[np.bool_]:
+    """Which times of a recording, s, are outside the found ones and more than ``near`` s away."""
+    out = np.ones(len(t), bool)
+    for (a, b), name in zip(found.intervals, found.recordings, strict=True):
+        out &= (name != recording) | (t < a - near) | (t > b + near)
+    return out
 
 
 def apart(
@@ -334,9 +340,7 @@ def apart(
         for smooth, use, rec in zip(of.smooth, of.used, part.records, strict=True):
             record = rec[joint - 1]
             t = record.t0 + record.sample_time * (use.start + np.arange(len(smooth)))
-            out = np.ones(len(t), bool)
-            for (a, b), name in zip(found.intervals, found.recordings, strict=True):
-                out &= (name != record.recording) | (t < a) | (t > b)
+            out = _away(found, record.recording, t)
             for k, times in enumerate((~out, out)):
                 energy[k] += float(np.sum(smooth[times] ** 2))
                 count[k] += int(times.sum())

@@ -154,13 +154,12 @@ def _walk(name: str, value: Any, found: Raw) -> None:
         _structure(name, value, found)
     elif not isinstance(value, np.ndarray):
         found.refused[name] = f"holds {type(value).__name__}, not numbers"
-    elif value.dtype.names and not _labelled(name, value, found):
-        for index, record in enumerate(value.reshape(-1)):
+    elif value.dtype.names:
+        records = () if _labelled(name, value, found) else value.reshape(-1)
+        for index, record in enumerate(records):
             place = name if value.size == 1 else f"{name}({index + 1})"
             if not _of_dspace(record, found):
                 _structure(place, {key: record[key] for key in value.dtype.names}, found)
-    elif value.dtype.names:
-        pass  # taken by its labels
     elif value.dtype == object:
         for index, item in enumerate(value.reshape(-1, order="F")):
             _walk(f"{name}{{{index + 1}}}", item, found)
@@ -169,8 +168,8 @@ def _walk(name: str, value: Any, found: Raw) -> None:
 
 
 def _labelled(name: str, value: npt.NDArray[Any], found: Raw) -> bool:
-    """Whether it is several signals of a Simulink scope, each with a label of its own: these are
-    their names then.
+    """Whether it is several signals of a Simulink scope, each with a label of its own. They are
+    taken by these names then.
     """
     if value.size < 2 or not {SERIES, "label"} <= set(value.dtype.names or ()):
         return False
