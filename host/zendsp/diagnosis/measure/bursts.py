@@ -313,7 +313,8 @@ def _driven(push: Bursts, each: Sequence[Data], joint: int) -> bool:
     within, beside = [], []
     near = 2.0 / LACKING_BAND  # s, an observer's memory
     for record in (rec[joint - 1] for data in each for rec in data.records):
-        t, u = record.t0 + record.sample_time * np.arange(record.n), np.abs(record.command)
+        t: Array = record.t0 + record.sample_time * np.arange(record.n, dtype=np.float64)
+        u = np.abs(record.command)
         within.append(u[~_away(push, record.recording, t)])
         beside.append(u[_away(push, record.recording, t, near)])
     inside, most = np.concatenate(within), max(np.max(u, initial=0.0) for u in beside)
