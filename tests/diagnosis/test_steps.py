@@ -263,6 +263,38 @@ def test_one_step_waits_for_a_second_unless_it_is_contradicted(
     assert searcher._chain(scored()).steps == [] and len(asked) == rounds
 
 
+def test_a_pair_is_compared_by_its_likeliest_hypotheses_whatever_their_order(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A round orders by slow observers: what is behind a first step is its likeliest, not its
+    first. Pairs that gain no more than that are not searched.
+    """
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    model = model_of(VISCOUS, COULOMB)
+    data = data_of(columns, model)
+    laws = {"ripple": -9000.0, "stiffness": -8000.0}
+
+    def rival(effect: str, deviance: float) -> Rival:
+        scored: Any = SimpleNamespace(deviance=deviance, model=model)
+        return Rival(effect, 1, scored, 0.0, model.terms[:1], (), rank=-deviance)
+
+    firsts = [rival(effect, value) for effect, value in laws.items()]
+    behind = {-9000.0: [-9500.0, -20_000.0], -8000.0: [-20_000.0]}
+    asked: list[float] = []
+
+    def round_of(_: Rounds, current: Any) -> list[Rival]:
+        asked.append(current.deviance)
+        return [rival("coulomb", value) for value in behind[current.deviance]]
+
+    monkeypatch.setattr(forward, "is_white", lambda *_: False)
+    monkeypatch.setattr(Rounds, "round", round_of)
+    monkeypatch.setattr(Rounds, "glance", lambda *_: -20_000.0)
+    searcher = Searcher(data, 1, lambda *_: True, 1, print)
+    base: Any = SimpleNamespace(deviance=0.0)
+    assert searcher._best_first(base, firsts)[0].effect == "ripple"
+    assert asked == [-9000.0]
+
+
 def test_no_step_starts_from_a_backlash_of_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
     moves: list[float] = []
     monkeypatch.setattr(backlash, "lossy", lambda scored, *_: moves.append(1.0) or scored)

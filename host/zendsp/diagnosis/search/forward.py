@@ -299,7 +299,8 @@ class Searcher:
         second = self.rounds.round(rivals[0].scored)
         if not second or rivals[0].scored.deviance - second[0].value < WAIT:
             return rivals
-        best, total = rivals[0], second[0].value + rivals[0].price
+        # the likeliest of each round, as a glance estimates it: their order is another matter
+        best, total = rivals[0], _likeliest(second) + rivals[0].price
         seen = frozenset(r.effect for r in (*rivals[:GLANCE], *second[:GLANCE]))
         for first in rivals[1:4]:
             if current.deviance - first.value < FIRST * gain or _general(first, rivals[0]):
@@ -308,8 +309,8 @@ class Searcher:
             if self.rounds.glance(first.scored, seen) + first.price > total - 0.5 * margin:
                 continue
             behind = self.rounds.round(first.scored)
-            if behind and behind[0].value + first.price < total - margin:
-                best, total = first, behind[0].value + first.price
+            if behind and _likeliest(behind) + first.price < total - margin:
+                best, total = first, _likeliest(behind) + first.price
         return [best, *[r for r in rivals if r is not best]]
 
 
@@ -335,6 +336,11 @@ def is_white(scored: Scored, joint: int) -> bool:
         count += len(r)
     sums = np.concatenate(means) / math.sqrt(max(total / max(count, 1), 1e-300))
     return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < LARGEST_BLOCK
+
+
+def _likeliest(rivals: list[Rival]) -> float:
+    """The deviance plus the price of the likeliest of some hypotheses."""
+    return min(r.value for r in rivals)
 
 
 def _gain(before: Scored, rival: Rival) -> float:
