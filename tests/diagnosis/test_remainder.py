@@ -197,20 +197,35 @@ def test_what_is_likelier_in_the_fit_and_is_no_torque_that_lacks_there_leaves_no
     """A filter of the log makes a sensor's errors alike: a complete cart was likelier by 3334 with
     a Stribeck curve, of 0.014 % of its torque.
     """
-    found = _concluded((Rejected("stribeck", 1, "", 3334.0),), monkeypatch, lacks)
+    lost, fit = (Rejected("stribeck", 1, "", 3334.0),), Size(lacks, lacks, lacks)
+    found = _concluded(lost, monkeypatch, fit)
     assert bool(found.doubted) == said
 
 
+@pytest.mark.parametrize(("untouched", "said"), [(0.0011, True), (0.0025, False)])
+def test_what_the_fit_does_not_surely_lack_more_than_the_untouched_leaves_nothing_open(
+    untouched: float, said: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stamps that jitter: commands that step were at other times, as a voltage limit of 0.1 % of
+    the torque, with which a complete arm was likelier by 1700.
+    """
+    lost = (Rejected("voltage_limit", 1, "", 1700.0),)
+    found = _concluded(lost, monkeypatch, Size(0.0031, 0.0018, 0.0055), Size(0.001, 0.0, untouched))
+    assert bool(found.doubted) == said
+
+
+LACKS, LACKS_NOTHING = Size(0.01, 0.01, 0.01), Size(0.0, 0.0, 0.0)
+
+
 def _concluded(
-    lost: tuple[Rejected, ...], monkeypatch: pytest.MonkeyPatch, lacks: float = 0.01
+    lost: tuple[Rejected, ...], monkeypatch: pytest.MonkeyPatch,
+    fit: Size = LACKS, left: Size = LACKS_NOTHING,
 ) -> Decision:
-    """The decision where untouched recordings lack nothing, those of the fit so much torque, and
-    the given laws were rejected.
+    """The decision where untouched recordings and those of the fit lack so much torque, and the
+    given laws were rejected.
     """
     one: Any = SimpleNamespace(model=None)
-    left = Size(0.0, 0.0, 0.0)
     d = Decision(1, "complete", (), (), one, one, left, left, NOTHING, left, one, 7.0, lost=lost)
-    fit = Size(lacks, lacks, lacks)
     for name, answer in (("_decided", d), ("rubs", True), ("lost", True), ("discrepancy", fit)):
         monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
     search: Any = SimpleNamespace(joint=1, base=one)

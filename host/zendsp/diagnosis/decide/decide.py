@@ -95,7 +95,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     out = _decided(parts, given, search, jobs, tell)
     if out.kind == Verdict.COMPLETE and (doubted := contradicted(out.lost)):
         lacks = discrepancy(parts.fit, search.base.model, search.joint)
-        if lacks.high > SIMULATORS_DIFFER:  # or it is likelier as correlated noise is
+        # or it is likelier as correlated noise is, and not for a torque that lacks there alone
+        if lacks.high > SIMULATORS_DIFFER and lacks.low > out.before.high:
             out = replace(out, kind=Verdict.UNEXPLAINED, doubted=doubted)
     turning = not rubs(search.base.model, search.joint)
     if lost(parts, search.base.model, search.joint):
