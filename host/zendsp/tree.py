@@ -15,6 +15,7 @@ from zendsp.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
+_ONE = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,10 @@ class Body:
 
 @dataclass(frozen=True)
 class LinkMotion:
-    """How each link moves, in its own frame; every list has one entry a link, vectors are (n, 3).
+    """How each link moves, in its own frame; every list has one entry a link, vectors are (3, n).
     """
 
-    turn: list[Array]  # of the link in its parent's frame, (3, 3) or (n, 3, 3)
+    turn: list[Array]  # of the link in its parent's frame, (3, 3, n)
     place: list[Array]  # of its origin in its parent's frame, m
     spin: list[Array]  # rad/s
     spin_rate: list[Array]  # rad/s^2
@@ -52,21 +53,20 @@ def link_motion(
     """Motion of every link for a motion of the joints (n, joints); gravity in the base's frame,
     m/s^2.
     """
-    n = len(q)
     m = LinkMotion([], [], [], [], [])
-    zero = np.zeros((n, 3))
+    zero = np.zeros((3, len(q)))
     for k, b in enumerate(bodies):
         turn, place = _carried_by(b, q[:, k])
         root = b.parent < 0
         w, wd = (zero, zero) if root else (m.spin[b.parent], m.spin_rate[b.parent])
-        a = (zero - gravity) if root else m.push[b.parent]
-        a = a + _cross(wd, place) + _cross(w, _cross(w, place))
-        w, wd, a = (np.einsum("nji,nj->ni", turn, v) for v in (w, wd, a))
-        speed, rate = qd[:, k, None] * b.axis, qdd[:, k, None] * b.axis
+        a = (zero - gravity[:, None]) if root else m.push[b.parent]
+        a = a + cross(wd, place) + cross(w, cross(w, place))
+        w, wd, a = (into(turn, v) for v in (w, wd, a))
+        speed, rate = b.axis[:, None] * qd[:, k], b.axis[:, None] * qdd[:, k]
         if b.slides:
-            a = a + rate + 2 * _cross(w, speed)
+            a = a + rate + 2 * cross(w, speed)
         else:
-            wd = wd + rate + _cross(w, speed)
+            wd = wd + rate + cross(w, speed)
             w = w + speed
         m.turn.append(turn)
         m.place.append(place)
@@ -77,35 +77,39 @@ def link_motion(
 
 
 def _carried_by(b: Body, q: Array) -> tuple[Array, Array]:
-    """Turn and place of a link in its parent's frame along a joint's motion (n,): (n, 3, 3) and
-    (n, 3).
+    """Turn and place of a link in its parent's frame along a joint's motion (n,): (3, 3, n) and
+    (3, n).
     """
     if b.slides:
-        turn = np.broadcast_to(b.rotation, (len(q), 3, 3))
-        return turn, b.place + q[:, None] * (b.rotation @ b.axis)
-    return b.rotation @ axis_turn(b.axis, q), np.broadcast_to(b.place, (len(q), 3))
+        turn = np.broadcast_to(b.rotation[..., None], (3, 3, len(q)))
+        return turn, b.place[:, None] + (b.rotation @ b.axis)[:, None] * q
+    return axis_turn(b.axis, q, b.rotation), np.broadcast_to(b.place[:, None], (3, len(q)))
 
 
 def own_inertias(bodies: Sequence[Body], q: Array) -> Array:
     """Inertia that each joint feels of itself along a motion, kg m² or kg, (n, joints): of all that
     it carries, put together from the last link on (Walker and Orin 1982).
     """
-    out, one = np.empty_like(q), np.eye(3)
+    out, still = np.empty_like(q), np.ones(len(q))
     mass = [b.mass for b in bodies]
-    first: list[Array] = [b.mass * b.com for b in bodies]  # moments, about the link's own origin
-    second: list[Array] = [about(b.mass, b.com, b.inertia) for b in bodies]
+    # moments, about the link's own origin
+    first: list[Array] = [np.multiply.outer(b.mass * b.com, still) for b in bodies]
+    second: list[Array] = [
+        np.multiply.outer(about(b.mass, b.com, b.inertia), still) for b in bodies
+    ]
     for k in reversed(range(len(bodies))):
         b = bodies[k]
-        out[:, k] = mass[k] if b.slides else second[k] @ b.axis @ b.axis
+        out[:, k] = mass[k] if b.slides else np.einsum("i,ijn,j->n", b.axis, second[k], b.axis)
         if b.parent < 0:
             continue
         turn, place = _carried_by(b, q[:, k])
-        moment = (turn @ first[k][..., None])[..., 0]
+        moment = _out_of(turn, first[k])
         # about the parent's origin: the parallel axes of a body whose moment is not zero
-        twice = place[:, :, None] * (moment + 0.5 * mass[k] * place)[:, None, :]
-        twice = twice + np.swapaxes(twice, 1, 2)
-        size = 0.5 * np.trace(twice, axis1=1, axis2=2)
-        moved = turn @ second[k] @ np.swapaxes(turn, 1, 2) + 2.0 * size[:, None, None] * one - twice
+        twice = place[:, None] * (moment + 0.5 * mass[k] * place)
+        twice = twice + np.swapaxes(twice, 0, 1)
+        size = 0.5 * np.trace(twice)
+        half = np.einsum("ijn,jkn->ikn", turn, second[k])
+        moved = np.einsum("ijn,kjn->ikn", half, turn) + 2.0 * size * _ONE[..., None] - twice
         mass[b.parent] += mass[k]
         first[b.parent] = first[b.parent] + moment + mass[k] * place
         second[b.parent] = second[b.parent] + moved
@@ -121,22 +125,22 @@ def inverse_dynamics(
     F: list[Array] = []
     N: list[Array] = []
     for b, w, wd, a in zip(bodies, m.spin, m.spin_rate, m.push, strict=True):
-        force = b.mass * (a + _cross(wd, b.com) + _cross(w, _cross(w, b.com)))
+        force = b.mass * (a + cross(wd, b.com) + cross(w, cross(w, b.com)))
         F.append(force)
-        N.append(wd @ b.inertia + _cross(w, w @ b.inertia) + _cross(b.com, force))
-    torque = np.empty((n, joints))
+        N.append(b.inertia @ wd + cross(w, b.inertia @ w) + cross(b.com, force))
+    torque = np.empty((joints, n))
     for k in reversed(range(joints)):
         b = bodies[k]
-        torque[:, k] = (F[k] if b.slides else N[k]) @ b.axis
+        torque[k] = b.axis @ (F[k] if b.slides else N[k])
         if b.parent >= 0:
             turn, place = m.turn[k], m.place[k]
-            force = np.einsum("nij,nj->ni", turn, F[k])
+            force = _out_of(turn, F[k])
             F[b.parent] = F[b.parent] + force
-            N[b.parent] = N[b.parent] + np.einsum("nij,nj->ni", turn, N[k]) + _cross(place, force)
+            N[b.parent] = N[b.parent] + _out_of(turn, N[k]) + cross(place, force)
     if any(b.lifted for b in bodies):  # what carries a part of the weight acts as that part would
         still = np.zeros_like(q)
-        torque -= inverse_dynamics([_carried(b) for b in bodies], gravity, q, still, still)
-    return torque
+        torque -= inverse_dynamics([_carried(b) for b in bodies], gravity, q, still, still).T
+    return torque.T
 
 
 def torque_slope(
@@ -153,23 +157,23 @@ def torque_slope(
     for k in range(joint, len(bodies)):
         b = bodies[k]
         if k == joint:
-            changes[k] = _slope_at(b, qd[:, k, None], m, k)
+            changes[k] = _slope_at(b, qd[:, k], m, k)
         elif b.parent in changes:
-            changes[k] = _slope_beyond(b, qd[:, k, None], changes[b.parent], m, k)
+            changes[k] = _slope_beyond(b, qd[:, k], changes[b.parent], m, k)
     forces: dict[int, Array] = {}
     moments: dict[int, Array] = {}
     for k, (dw, dwd, da) in changes.items():
         b, w = bodies[k], m.spin[k]
-        whirl = _cross(dw, _cross(w, b.com)) + _cross(w, _cross(dw, b.com))
-        forces[k] = b.mass * (da + _cross(dwd, b.com) + whirl)
-        gyro = _cross(dw, w @ b.inertia) + _cross(w, dw @ b.inertia)
-        moments[k] = dwd @ b.inertia + gyro + _cross(b.com, forces[k])
+        whirl = cross(dw, cross(w, b.com)) + cross(w, cross(dw, b.com))
+        forces[k] = b.mass * (da + cross(dwd, b.com) + whirl)
+        gyro = cross(dw, b.inertia @ w) + cross(w, b.inertia @ dw)
+        moments[k] = b.inertia @ dwd + gyro + cross(b.com, forces[k])
     for k in reversed(list(changes)[1:]):
         up, turn = bodies[k].parent, m.turn[k]
-        force = _turned(turn, forces[k])
+        force = _out_of(turn, forces[k])
         forces[up] = forces[up] + force
-        moments[up] = moments[up] + _turned(turn, moments[k]) + _cross(m.place[k], force)
-    slope: Array = (forces if bodies[joint].slides else moments)[joint] @ axis
+        moments[up] = moments[up] + _out_of(turn, moments[k]) + cross(m.place[k], force)
+    slope: Array = axis @ (forces if bodies[joint].slides else moments)[joint]
     if any(b.lifted for b in bodies):
         still = np.zeros_like(q)
         slope -= torque_slope([_carried(b) for b in bodies], gravity, q, still, still, joint)
@@ -181,11 +185,11 @@ def _slope_at(b: Body, qd: Array, m: LinkMotion, k: int) -> tuple[Array, Array, 
     if b.slides:
         w, wd = m.spin[k], m.spin_rate[k]
         none = np.zeros_like(w)
-        return none, none, _cross(wd, b.axis) + _cross(w, _cross(w, b.axis))
-    dw = _cross(m.spin[k], b.axis)
-    way = qd * b.axis
-    before = m.spin_rate[k] - _cross(m.spin[k], way)  # but for what is along the axis
-    return dw, _cross(before, b.axis) + _cross(dw, way), _cross(m.push[k], b.axis)
+        return none, none, cross(wd, b.axis) + cross(w, cross(w, b.axis))
+    dw = cross(m.spin[k], b.axis)
+    way = b.axis[:, None] * qd
+    before = m.spin_rate[k] - cross(m.spin[k], way)  # but for what is along the axis
+    return dw, cross(before, b.axis) + cross(dw, way), cross(m.push[k], b.axis)
 
 
 def _slope_beyond(
@@ -194,16 +198,20 @@ def _slope_beyond(
     """How the motion of a link changes with that of its parent: spin, rate, push."""
     dw, dwd, da = change
     w, place, turn = m.spin[b.parent], m.place[k], m.turn[k]
-    da = da + _cross(dwd, place) + _cross(dw, _cross(w, place)) + _cross(w, _cross(dw, place))
-    dw, dwd, da = (_turned(np.swapaxes(turn, -1, -2), v) for v in (dw, dwd, da))
-    way = qd * b.axis
-    return (dw, dwd, da + 2.0 * _cross(dw, way)) if b.slides else (dw, dwd + _cross(dw, way), da)
+    da = da + cross(dwd, place) + cross(dw, cross(w, place)) + cross(w, cross(dw, place))
+    dw, dwd, da = (into(turn, v) for v in (dw, dwd, da))
+    way = b.axis[:, None] * qd
+    return (dw, dwd, da + 2.0 * cross(dw, way)) if b.slides else (dw, dwd + cross(dw, way), da)
 
 
-def _turned(turn: Array, v: Array) -> Array:
-    """Vectors (n, 3) turned by matrices, (3, 3) or (n, 3, 3)."""
-    out: Array = (turn @ v[:, :, None])[:, :, 0]
-    return out
+def into(turn: Array, v: Array) -> Array:
+    """Vectors (3, n) in the frame that ``turn`` (3, 3, n) places in theirs."""
+    return np.asarray(np.einsum("jin,jn->in", turn, v))
+
+
+def _out_of(turn: Array, v: Array) -> Array:
+    """The opposite of ``into``."""
+    return np.asarray(np.einsum("ijn,jn->in", turn, v))
 
 
 def _carried(b: Body) -> Body:
@@ -415,7 +423,7 @@ def about(mass: float, d: Array, inertia: Array) -> Array:
     """Inertia about a point that is ``d`` away from the centre of mass; ``inertia`` is about that
     centre.
     """
-    return np.asarray(inertia + mass * (float(d @ d) * np.eye(3) - np.outer(d, d)))
+    return np.asarray(inertia + mass * (float(d @ d) * _ONE - d[:, None] * d))
 
 
 def _inertial(link: ET.Element, rotation: Array, place: Array) -> tuple[float, Array, Array]:
@@ -445,7 +453,7 @@ def _origin(element: ET.Element) -> tuple[Array, Array]:
     r, p, y = _numbers(words.get("rpy", "0 0 0"))
     turn = np.eye(3)
     for axis, angle in (((0, 0, 1), y), ((0, 1, 0), p), ((1, 0, 0), r)):
-        turn = turn @ axis_turn(np.array(axis, dtype=np.float64), np.array([angle]))[0]
+        turn = axis_turn(np.array(axis, dtype=np.float64), np.array([angle]), turn)[..., 0]
     return turn, _numbers(words.get("xyz", "0 0 0"))
 
 
@@ -456,16 +464,19 @@ def _numbers(text: str) -> Array:
     return values
 
 
-def axis_turn(axis: Array, angle: Array) -> Array:
-    """Rotation matrices, shape (n, 3, 3), about a unit axis."""
+def axis_turn(axis: Array, angle: Array, before: Array) -> Array:
+    """Rotation matrices about a unit axis for angles (n,), in the frame that ``before`` (3, 3)
+    places: (3, 3, n).
+    """
     x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))
+    turned = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    parts = np.stack([before, before @ turned, before @ turned @ turned], axis=2)
+    along = np.stack([np.ones_like(angle), np.sin(angle), 1.0 - np.cos(angle)])
+    return np.asarray(parts @ along)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """As ``np.cross`` of rows of three; on few rows it takes a third of the time."""
-    x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    u, v, w = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+def cross(a: Array, b: Array) -> Array:
+    """As ``np.cross`` of vectors (3, n); one of them may be (3,)."""
+    x, y, z = a
+    u, v, w = b
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])

@@ -25,19 +25,20 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.model import TREES, Model, Term, per_joint
 from zendsp.physics.robots.rigid import SMALL
 from zendsp.physics.robots.robot import robot_tree
-from zendsp.tree import GRAVITY, Body, LinkMotion, about, inverse_dynamics, link_motion
+from zendsp.tree import GRAVITY, Body, LinkMotion, about, cross, into, inverse_dynamics, link_motion
 
 Array = npt.NDArray[np.float64]
 
 NUMBERS = ("mass", "h_x", "h_y", "h_z", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_ROWS, _COLUMNS = np.transpose(_PAIRS)
 _ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # turns z to the base's x
 
 
 def numbers_of(mass: float, com: Array, inertia: Array) -> Array:
     """The ten numbers of a body (see ``NUMBERS``) from its inertia about the centre of mass."""
     whole = about(mass, com, inertia)
-    return np.array([mass, *(mass * com), *(whole[i, j] for i, j in _PAIRS)])
+    return np.array([mass, *(mass * com), *whole[_ROWS, _COLUMNS]])
 
 
 def body_terms(model: Model) -> tuple[Term, ...]:
@@ -180,12 +181,12 @@ class Links:
         for k, b in enumerate(self.bodies):
             own = np.repeat(b.axis[:, None], n, axis=1)
             out[k, k] = (np.zeros((3, n)), own) if b.slides else (own, np.zeros((3, n)))
-            turn, place = self._moved.turn[k], self._moved.place[k].T
+            turn, place = self._moved.turn[k], self._moved.place[k]
             for j in range(k):
                 if (j, b.parent) in out:
                     spin, slide = out[j, b.parent]
-                    slide = slide + _cross(spin, place)
-                    out[j, k] = (_into(turn, spin), _into(turn, slide))
+                    slide = slide + cross(spin, place)
+                    out[j, k] = (into(turn, spin), into(turn, slide))
         return out
 
     def moves(self, joint: int, link: int) -> bool:
@@ -198,16 +199,15 @@ class Links:
         key = (joint, link)
         if key not in self._columns:
             turn, slide = self._screws[key]
-            w, wd, a = (
-                v[link].T for v in (self._moved.spin, self._moved.spin_rate, self._moved.push)
-            )
+            moved = self._moved
+            w, wd, a = moved.spin[link], moved.spin_rate[link], moved.push[link]
             torque = np.concatenate([
                 [_dot(slide, a)],
-                _cross(slide, wd) + _cross(w, _cross(w, slide)) + _cross(a, turn),
-                _products(turn, wd) + _products(_cross(turn, w), w),
+                cross(slide, wd) + cross(w, cross(w, slide)) + cross(a, turn),
+                _products(turn, wd) + _products(cross(turn, w), w),
             ])  # fmt: skip
             inertia = np.concatenate(
-                [[_dot(slide, slide)], 2.0 * _cross(slide, turn), _products(turn, turn)]
+                [[_dot(slide, slide)], 2.0 * cross(slide, turn), _products(turn, turn)]
             )
             self._columns[key] = (inertia, torque)
         return self._columns[key]
@@ -221,7 +221,7 @@ class Links:
             turn, slide = self._screws[key]
             out = np.empty((3, 4, self.motion.shape[2]))
             for axis, down in enumerate(self._base(link)):
-                out[axis] = np.concatenate([[-_dot(slide, down)], -_cross(down, turn)])
+                out[axis] = np.concatenate([[-_dot(slide, down)], -cross(down, turn)])
             self._pulls[key] = out
         return self._pulls[key]
 
@@ -232,7 +232,7 @@ class Links:
         while self.bodies[chain[-1]].parent >= 0:
             chain.append(self.bodies[chain[-1]].parent)
         for k in reversed(chain):
-            axes = [_into(self._moved.turn[k], v) for v in axes]
+            axes = [into(self._moved.turn[k], v) for v in axes]
         return axes
 
     def weight(self, joint: int, terms: Sequence[Term] = ()) -> Array:
@@ -297,21 +297,9 @@ class Links:
         return Change(inertia, torque - inertia * self.motion[joint, 2])
 
 
-def _into(turn: Array, v: Array) -> Array:
-    """Vectors (3, n) in the frame that ``turn`` places in theirs."""
-    out: Array = np.einsum("nji,jn->in", turn, v) if turn.ndim == 3 else turn.T @ v
-    return out
-
-
 def _dot(a: Array, b: Array) -> Array:
     out: Array = np.einsum("in,in->n", a, b)
     return out
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
 
 
 def _products(a: Array, b: Array) -> Array:

@@ -255,7 +255,7 @@ def _tree(
             slides = int(m.jnt_type[k]) == slide
             place = place + turn @ anchor - (start * (turn @ axis) if slides else 0.0)
             if not slides:
-                turn = turn @ axis_turn(axis, np.array([-start]))[0]
+                turn = axis_turn(axis, np.array([-start]), turn)[..., 0]
             name = m.body(b).name or f"body {b}"
             links.append(
                 Body(link, slides, axis, turn, place, 0.0, np.zeros(3), np.zeros((3, 3)), name)
