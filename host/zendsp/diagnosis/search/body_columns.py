@@ -135,12 +135,12 @@ def _grams(
 ) -> tuple[Array, Array]:
     """Gram matrices (blocks, columns, columns) and numbers of samples (blocks,) of one joint."""
     seen, acts, moving = columns(record)
-    seen = np.ascontiguousarray(seen[:, moving].T)
+    seen = seen[:, moving]
     edges = np.searchsorted(np.flatnonzero(moving), [*starts, record.n])
     grams = np.zeros((len(starts), len(acts), len(acts)))
     at = np.ix_(acts, acts)
     for gram, (a, b) in zip(grams, pairwise(edges), strict=True):
-        gram[at] = seen[a:b].T @ seen[a:b]
+        gram[at] = seen[:, a:b] @ seen[:, a:b].T
     return grams, np.diff(edges)
 
 

@@ -69,7 +69,11 @@ class Solver:
     def _left(self, x: Array) -> Array:
         """The sum of squares that the fit leaves, per joint."""
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        left = np.sum(tail * product(self.rest, tail), axis=1)
+        return self._sum_of(tail, product(self.rest, tail))
+
+    def _sum_of(self, tail: Array, products: Array) -> Array:
+        """The sum of squares per joint, from its coefficients and the sums' products with them."""
+        left = np.sum(tail * products, axis=1)
         return np.asarray(np.maximum(left, 1e-9 * self.rest[:, -1, -1]))  # less is rounding
 
     def deviance(self, x: Array) -> float:
@@ -117,12 +121,12 @@ class Solver:
     def _normal(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
         """Normal matrix (p, p) and slope (p,) of the deviance."""
         x, jac = self._linear(h, values)
-        weight = self._weight(self._left(x))
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+        products = product(self.rest, tail)
+        weight = self._weight(self._sum_of(tail, products))
         inner = self.rest[:, :-1, :-1] @ jac
         weighted = weight[:, None, None] * jac
-        left_over = product(self.rest[:, :-1], tail)
-        return over_joints(weighted, inner), over_joints(weighted, left_over)
+        return over_joints(weighted, inner), over_joints(weighted, products[:, :-1])
 
     def _weight(self, left: Array) -> Array:
         """The weight of each joint's squares, of which a fit leaves this much; a joint that stands
