@@ -135,11 +135,13 @@ class Screen:
         """
         on_sensor = get_effect(columns[0][0].effect).at_sensor
         parts = []
-        for i in range(len(self.records)):
-            torques = np.stack([self._torque(i, terms, alone) for terms in columns])
-            torques = torques if on_sensor else torques * self.free[i]
+        for i, rec in enumerate(self.records):
+            torques = np.empty((len(columns), rec.n))
+            for row, terms in zip(torques, columns, strict=True):
+                follows = 1.0 if on_sensor else self.free[i]
+                np.multiply(self._torque(i, terms, alone), follows, out=row)
             parts.append(self._respond(i, torques, on_sensor=on_sensor))
-        return np.concatenate(parts, axis=1)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def _torque(self, i: int, terms: tuple[Term, ...], alone: bool) -> Array:
         """The torque with which added terms resist along the measured motion, (n,); for effects on
@@ -184,23 +186,24 @@ class Screen:
 
     def groups(self, columns: Array, each: int) -> Iterator[tuple[float, Array]]:
         """The decrease of the cost by each group of ``each`` columns, and their coefficients."""
-        known = columns @ self.q
-        gram, moment = columns @ columns.T, columns @ self.left
-        whole = np.diag(gram).copy()
-        gram -= known @ known.T
-        for begin in range(0, len(columns), each):
-            some = slice(begin, begin + each)
-            inner, outer = gram[some, some], moment[some]
-            if np.any(np.diag(inner) < IMITATED * whole[some]):  # almost equal numbers
-                b = columns[some] - known[some] @ self.q.T
-                inner, outer = b @ b.T, b @ self.left
-            norm = np.sqrt(np.diag(inner))
-            norm[norm == 0] = 1.0
+        known, moments = columns @ self.q, (columns @ self.left).reshape(-1, each)
+        some = columns.reshape(-1, each, 1, columns.shape[1])
+        # only columns of the same group: products of single rows
+        grams = (some[:, :, None] @ some[:, None].swapaxes(-1, -2))[..., 0, 0]
+        whole = grams.diagonal(axis1=1, axis2=2).copy()
+        beside = known.reshape(-1, each, known.shape[1])
+        grams -= beside @ beside.swapaxes(1, 2)
+        for i in np.flatnonzero((grams.diagonal(axis1=1, axis2=2) < IMITATED * whole).any(axis=1)):
+            b = some[i, :, 0] - beside[i] @ self.q.T  # almost equal numbers
+            grams[i], moments[i] = b @ b.T, b @ self.left
+        norms = np.sqrt(grams.diagonal(axis1=1, axis2=2))
+        norms[norms == 0] = 1.0
+        for gram, moment, norm in zip(grams, moments, norms, strict=True):
             if not np.isfinite(norm).all():  # numbers at which the effect vanishes
-                yield 0.0, np.zeros(len(norm))
+                yield 0.0, np.zeros(each)
                 continue
-            outer = outer / norm
-            theta = -_least_squares(inner / np.outer(norm, norm), outer)
+            outer = moment / norm
+            theta = -_least_squares(gram / (norm * norm[:, None]), outer)
             yield float(-theta @ outer), theta / norm
 
     def candidates(self, only: frozenset[str] = frozenset(), jobs: int = 1) -> list[Candidate]:
