@@ -279,7 +279,7 @@ class JointRecord:
             inertias.append(means(change.inertia[some], self.every))
             biases.append(means(change.bias[some], self.every))
         inertia, bias = _sum(inertias, self.n), _sum(biases, self.n)
-        return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
+        return np.maximum(inertia, 1e-9 * self.scale.inertia, out=inertia), bias
 
     def bias_slope(self, model: Model) -> Array:
         """Derivative of the known torque by the joint's own position, (n,) N m/rad or N/m, for a

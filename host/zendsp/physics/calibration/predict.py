@@ -320,10 +320,8 @@ def fill_rigid(m: Any, record: JointRecord, model: Model, inertia: Array, bias: 
     """Fill in inertia and torque of the rigid body; the arrays must outlive the call."""
     p = native().doubles
     m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
-    loose = bool(bias.any()) and any(
-        get_effect(t.effect).family == "transmission" for t in model.at(record.joint)
-    )
-    m.bias_slope = p(record.bias_slope(model)) if loose else native().ffi.NULL
+    loose = any(get_effect(t.effect).family == "transmission" for t in model.at(record.joint))
+    m.bias_slope = p(record.bias_slope(model)) if loose and bias.any() else native().ffi.NULL
     m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
 
 
