@@ -127,11 +127,14 @@ class Descent:
             base, columns = columns[:, 0].copy(), columns[:, 1:]
         if not ahead:
             return base, np.zeros((len(base), 0))
-        rows = self._spare.pop().T if self._spare else np.empty((len(at), len(base)))
-        for i, row in enumerate(rows):  # a number each: its samples stand side by side
-            np.subtract(columns[:, i], columns[:, len(at) + i] if back else base, out=row)
-            row /= (ahead[i] - (back[i] if back else at))[i]
-        return base, rows.T
+        out = self._spare.pop() if self._spare else np.empty((len(base), len(at)))
+        behind = columns[:, len(at) :] if self.central else base[:, None]
+        widths = np.array(
+            [(p - q)[i] for i, (p, q) in enumerate(zip(ahead, back or [at] * len(at), strict=True))]
+        )
+        np.subtract(columns[:, : len(at)], behind, out=out)
+        out /= widths
+        return base, out
 
     def ways(
         self, x: Array, r: Array, jac: Array
