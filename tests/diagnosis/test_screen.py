@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -135,3 +137,28 @@ def test_the_screen_finds_numbers_between_the_points_of_its_grid(model: Model) -
             seen = max(gain for gain, _ in screen._at(effect, grid))
             assert seen > 0.5 * float(column @ column), (effect.name, point)
     assert {"position_friction", "ripple", "stribeck", "dead_zone"} <= {*asked}
+
+
+@pytest.mark.parametrize("each", [1, 2, 3])
+def test_a_group_of_columns_promises_what_least_squares_beside_the_calibrated_numbers_gain(
+    each: int,
+) -> None:
+    """Also where the calibrated numbers imitate a column to the last digits, or it is nothing."""
+    rng = np.random.default_rng(3)
+    q = np.linalg.qr(rng.normal(size=(400, 4)))[0]
+    left = rng.normal(size=400)
+    left -= q @ (q.T @ left)
+    columns = rng.normal(size=(4 * each, 400))
+    columns[each] = 1e-6 * columns[each] + q[:, 1]
+    columns[2 * each :: each][:1] = 0.0
+    columns[-1] = np.inf
+    around = cast(Screen, SimpleNamespace(q=q, left=left))
+    with np.errstate(invalid="ignore"):
+        found = list(Screen.groups(around, columns, each))
+    assert len(found) == 4
+    for begin, (gain, theta) in zip(range(0, 3 * each, each), found, strict=False):
+        beside = columns[begin : begin + each] - (columns[begin : begin + each] @ q) @ q.T
+        wanted = np.linalg.lstsq(beside.T, -left, rcond=1e-12)[0]
+        np.testing.assert_allclose(theta, wanted, rtol=1e-6)
+        assert gain == pytest.approx(left @ left - np.sum((left + wanted @ beside) ** 2), rel=1e-6)
+    assert found[-1][0] == 0.0 and not found[-1][1].any()  # not finite: it promises nothing
