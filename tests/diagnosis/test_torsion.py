@@ -86,6 +86,28 @@ def test_the_width_of_a_gap_is_measured_from_rows_in_contact() -> None:
     assert -1 / found["spring"].value == pytest.approx(1e4, rel=0.1)
 
 
+def test_a_gap_of_which_a_weight_presses_one_side_nearly_always_is_no_spring() -> None:
+    """Rows that are pressed for long were all on the one side, and showed none of the other."""
+
+    def weighed(torque: Array) -> Array:
+        lifted = torque + 1.5 * float(np.sqrt(np.mean(torque**2)))
+        # what dips below is brief, as where a joint brakes hard
+        return np.asarray(np.where(lifted < 0.0, 3.0 * lifted, lifted))
+
+    def lifted(twist: Twist) -> Twist:
+        torque = weighed(twist.torque)
+        return replace(twist, torque=torque, drive=torque)
+
+    def torsion(q: Array, torque: Array) -> Array:
+        return gap(q, weighed(torque))
+
+    slow = sets(torsion, 3.0).each(lambda t: lowpass(lifted(t), 32.0))
+    assert np.mean(slow.fit[0].torque > 0.0) > 0.85
+    chosen, here, _ = choose(slow, 0.08, Motor(0.03))
+    found = {c.name: c for c in claims_of(here, chosen, torque_scale(here.fit), GIVEN)}
+    assert -2 * found["gap"].value == pytest.approx(0.012, rel=0.05)
+
+
 def late(q: Array, torque: Array) -> Array:
     """1000 N m/rad, where friction of 0.8 N m within the transmission holds."""
     out, at = np.empty_like(torque), 0.0
