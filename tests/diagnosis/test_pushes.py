@@ -35,7 +35,7 @@ def seconds() -> tuple[float, float]:
 def test_a_torque_only_in_the_recordings_to_choose_by_leaves_the_verdict_open(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("pushed", "felt"):  # nothing of it comes again
+    for name in ("pushed", "pushed_beside", "felt"):  # nothing of it comes again
         monkeypatch.setattr(decide, name, lambda *_: None)
     pushed = reality.Machine(push=(0.3, 2.0, 3.0))
     assert decided(reality.Machine(), pushed).verdict == "unexplained"
@@ -72,6 +72,7 @@ def test_where_cutting_out_all_pushes_leaves_too_little_only_the_largest_is_cut_
     held = Bursts(spans, ("a",) * 3, 0.9, 5.0, 2.0, 0.1, 1.0, 1.1, (0.01, 1.0, 0.02), 0.95)
     asked: list[list[tuple[str, float, float]]] = []
     passes: list[object] = []
+    alike: list[object] = []
 
     def cut_out(part: Any, pushes: list[tuple[str, float, float]]) -> Any:
         asked.append(pushes)
@@ -85,7 +86,7 @@ def test_where_cutting_out_all_pushes_leaves_too_little_only_the_largest_is_cut_
 
     monkeypatch.setattr(machine, "cut_out", cut_out)
     monkeypatch.setattr(machine, "_once", once)
-    monkeypatch.setattr(machine, "one_sensor", lambda part: part)
+    monkeypatch.setattr(machine, "of_one_sensor", lambda parts: alike.append(parts) or parts)
     monkeypatch.setattr(machine, "prepare", lambda part, *_: part)
     monkeypatch.setattr(machine, "_beside_pushes", lambda _, again: again)
     monkeypatch.setattr(machine, "_misled", lambda *_: False)
@@ -93,6 +94,8 @@ def test_where_cutting_out_all_pushes_leaves_too_little_only_the_largest_is_cut_
     machine.find(signals, "all", None, 1, lambda _: None)  # type: ignore[arg-type]
     assert asked[-1] == [("a", 2.0, 4.0)]
     assert passes == ["all", machine.Parts(["fit"], ["choose"], ["test"])]  # type: ignore[arg-type]
+    # whole recordings of one sensor: by the test recording alone, its counts were a torque of 5 %
+    assert alike == [signals]
 
 
 @pytest.mark.usefixtures("searched_once")
@@ -225,6 +228,56 @@ def test_a_push_beside_a_finding_is_reported(decided: Decided, bench: Decided) -
     assert (begin, end) == (pytest.approx(4.0, abs=0.15), pytest.approx(6.0, abs=0.2))
     assert "run1.csv" in d.findings[0].sentence
     assert "push" not in bench(reality.Machine(), KNOWN[:1]).unexplained
+
+
+@pytest.mark.parametrize("seconds", [(9.0, 12.0)])
+def test_a_push_in_held_out_recordings_alone_is_reported_beside_a_finding(decided: Decided) -> None:
+    """The recordings of the fit lack nothing beside the friction."""
+    d = decided(reality.Machine(), reality.Machine(push=(0.08, 2.0, 3.0)), KNOWN[0])
+    assert [f.effect for f in d.findings] == ["disturbance", "coulomb"]
+    assert np.array(d.findings[0].numbers["intervals"]) == pytest.approx(
+        np.array([[2.0, 3.0]]), abs=0.1
+    )
+    assert d.findings[1].parameters["level"].value == pytest.approx(0.03, rel=0.01)
+
+
+def test_pushes_are_asked_for_beside_the_likeliest_law_and_with_the_numbers_of_the_held(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A push to choose by had refused every law; pushes in the fit had bent the numbers of a drag
+    by half, so that it lacked something everywhere.
+    """
+
+    def scored(name: str) -> Any:
+        return SimpleNamespace(model=name)
+
+    lacking = {"bent": {"fit": 0.09, "choose": 0.1, "test": 0.1}, "clear": {"fit": 0.2}}
+
+    def discrepancy(part: str, model: str, _: int) -> Size:
+        return Size(value := lacking[model].get(part, 0.0), value, value)
+
+    beside: list[str] = []
+
+    def in_fit(_: object, model: str, *__: object) -> None:
+        beside.append(model)
+
+    monkeypatch.setattr(decide, "lost", lambda *_: False)
+    monkeypatch.setattr(decide, "rubs", lambda *_: True)
+    monkeypatch.setattr(pushes, "lost", lambda *_: False)
+    monkeypatch.setattr(pushes, "discrepancy", discrepancy)
+    monkeypatch.setattr(pushes, "fitted_to", lambda *_: scored("clear"))
+    monkeypatch.setattr(pushes, "in_held", lambda *_: None)
+    monkeypatch.setattr(pushes, "in_fit", in_fit)
+    size, base = Size(0.1, 0.1, 0.1), scored("base")
+    nothing: Any = SimpleNamespace()
+    out = Decision(1, "unexplained", (), (), base, base, size, size, nothing, size, base, 1.0)
+    monkeypatch.setattr(decide, "_decided", lambda *_: out)
+    rival = SimpleNamespace(effect="torque_offset", scored=scored("bent"))
+    search: Any = SimpleNamespace(base=base, joint=1, tried=[rival], best=None)
+    each = ("fit", "choose", "test")
+    parts: Any = SimpleNamespace(fit="fit", choose="choose", test="test", each=each)
+    decide.decide(parts, None, search, 1, lambda _: None)  # type: ignore[arg-type]
+    assert beside == ["bent", "clear"]
 
 
 @pytest.mark.parametrize(

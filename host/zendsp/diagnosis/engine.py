@@ -8,7 +8,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_motion
-from zendsp.diagnosis.data.prepare import one_sensor, prepare
+from zendsp.diagnosis.data.prepare import of_one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import halves, read_divided
@@ -378,11 +377,8 @@ def _ready(
     tell(Step.READING.says("reading the recordings"))
     fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
     tell(Step.READING.says("smoothing the motion"))
-    of_one = iter(one_sensor([*fit_signals, *choose_signals, *test_signals]))
-    fit, choose, test = (
-        prepare(list(islice(of_one, len(s))), given, 64.0)
-        for s in (fit_signals, choose_signals, test_signals)
-    )
+    read = (fit_signals, choose_signals, test_signals)
+    fit, choose, test = (prepare(part, given, 64.0) for part in of_one_sensor(read))
     parts = Parts(fit, choose, choose if choose_signals is test_signals else test)
     names = [s.name for s in (*fit_signals, *choose_signals, *test_signals)]
     everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
@@ -390,7 +386,7 @@ def _ready(
         check_motion(everything, given, names)
         check_zeros(everything, given)
     notes += check_excitation(fit)
-    return (fit_signals, choose_signals, test_signals), parts, notes
+    return read, parts, notes
 
 
 def _name(

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from zendsp.diagnosis.data.prepare import one_sensor, prepare
+from zendsp.diagnosis.data.prepare import of_one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import cut_out
 from zendsp.diagnosis.decide.across import (
@@ -149,22 +149,24 @@ def _without_pushes(
     pushes = _pushes(found.decisions)
     if not pushes:
         return _loaded(found, given, jobs)
-    fit, choose, test = (cut_out(part, pushes) for part in signals)
+    # pieces of a slow recording alone say too little of the noise that all have
+    alike = of_one_sensor(signals)
+    fit, choose, test = (cut_out(part, pushes) for part in alike)
     if not fit or not (choose or test):  # a calibration bent by a push lacks something everywhere
         largest = _pushes(found.decisions, largest=True)
-        fit, choose, test = (cut_out(part, largest) for part in signals)
+        fit, choose, test = (cut_out(part, largest) for part in alike)
     # pushes beside a missing friction are certain once the friction is known without them
     alone = [d if d.kind == Verdict.DISTURBANCE else unpushed(d) for d in found.decisions]
     if not (choose or test):
         return _loaded(replace(found, decisions=alone), given, jobs)
-    untouched = prepare(one_sensor(test or choose), given, 64.0)
+    untouched = prepare(test or choose, given, 64.0)
     chosen = untouched
     if choose and test and signals[1] is not signals[2]:
-        chosen = prepare(one_sensor(choose), given, 64.0)
+        chosen = prepare(choose, given, 64.0)
     calibrated = found.whole.calibrated
     if fit:
         tell(Step.ASSEMBLING.says("once more, without what was pushed"))
-        rest = Parts(prepare(one_sensor(fit), given, 64.0), chosen, untouched)
+        rest = Parts(prepare(fit, given, 64.0), chosen, untouched)
         beside = _beside_pushes(found, _once(rest, given, jobs, tell))
         if not _misled(beside, calibrated, untouched):
             return beside

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +63,12 @@ def one_sensor(signals: Sequence[Signals]) -> list[Signals]:
         replace(s, least_noise=usual if s.least_noise is None else np.maximum(s.least_noise, usual))
         for s in signals
     ]
+
+
+def of_one_sensor(parts: Sequence[Sequence[Signals]]) -> list[list[Signals]]:
+    """``one_sensor`` for the recordings of all parts together."""
+    each = iter(one_sensor([s for part in parts for s in part]))
+    return [list(islice(each, len(part))) for part in parts]
 
 
 def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:

@@ -106,10 +106,11 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     # missing friction and pushes hide each other
     elif out.kind == Verdict.UNEXPLAINED and not out.loads:
         models = [r.scored for r in search.tried if get_effect(r.effect).common]
+        models += [r.scored for r in search.tried[:1]]  # which a push to choose by refuses
         models += [search.best] if search.best is not None else []
     else:
         return replace(out, beside=felt(out, parts, turning))
-    out = replace(out, bursts=pushed_beside(out, models, parts, turning))
+    out = replace(out, bursts=pushed_beside(out, models, parts, turning, jobs))
     small = out.kind == Verdict.UNEXPLAINED and beyond(out.before.value, out.known.all) < LAWFUL
     if small and out.bursts is None:
         push = felt(out, parts, turning)

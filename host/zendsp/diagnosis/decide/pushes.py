@@ -88,15 +88,17 @@ def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
 
 
 def pushed_beside(
-    out: Decision, models: Sequence[Scored], parts: Parts, turning: bool
+    out: Decision, models: Sequence[Scored], parts: Parts, turning: bool, jobs: int
 ) -> Bursts | None:
     """The pushes beside a missing friction, which hides them: those that explain most beside one of
     the ``models``; None where there are none.
     """
     joint, best = out.joint, None
-    for scored in models:
+    for scored in _with_numbers_of_the_held(models, parts, joint, jobs):
         model = scored.model
-        if lost(parts, model, joint) or discrepancy(parts.fit, model, joint).value < LAWFUL:
+        # a push in held-out recordings takes the evidence of what is missing, or stands beside it
+        lacks = max(discrepancy(part, model, joint).value for part in parts.each)
+        if lost(parts, model, joint) or lacks < LAWFUL:
             continue
         for found in (in_held(parts, model, joint, OFTEN), in_fit(parts, model, joint, MANY)):
             if found is None:
@@ -109,6 +111,25 @@ def pushed_beside(
             ):
                 best = both
     return best
+
+
+def _with_numbers_of_the_held(
+    models: Sequence[Scored], parts: Parts, joint: int, jobs: int
+) -> list[Scored]:
+    """The models, and those among them that lack something in the recordings of the fit fitted to
+    the recordings to choose by, where this explains the test recordings better: a push in those of
+    the fit bends all numbers, and a bent model lacks something everywhere.
+    """
+    each = list(models)
+    for scored in models:
+        if lost(parts, scored.model, joint):
+            continue
+        lacks = [discrepancy(part, scored.model, joint).value for part in (parts.fit, parts.test)]
+        if lacks[0] >= LAWFUL:
+            other = fitted_to(parts.choose, scored, joint, jobs)
+            if discrepancy(parts.test, other.model, joint).value < lacks[1]:
+                each.append(other)
+    return each
 
 
 def lost(parts: Parts, model: Model, joint: int) -> bool:
@@ -164,7 +185,8 @@ def beside(decision: Decision, parts: Parts) -> Bursts | None:
 def felt(out: Decision, parts: Parts, turning: bool) -> Bursts | None:
     """The push that is too small for a finding; it is noted."""
     model, joint = out.final.model, out.joint
-    lacks = max(out.after.value, discrepancy(parts.fit, model, joint).value)
+    others = (discrepancy(part, model, joint).value for part in (parts.fit, parts.choose))
+    lacks = max(out.after.value, *others)
     if out.kind == Verdict.DISTURBANCE or beyond(lacks, out.known.all) < FELT:
         return None
     found = in_held(parts, model, joint, OFTEN) or in_fit(parts, model, joint)
