@@ -17,12 +17,13 @@ from test_simulator import OWN, files
 from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.pieces import rubs
 from zendsp.diagnosis.decide.result import FitTable, Left
 from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.diagnosis.external.inner_body import without_parts
 from zendsp.diagnosis.external.numbers import as_given, expanded, folded
 from zendsp.diagnosis.external.rigid import BENT, Called, State
-from zendsp.diagnosis.external.rigid_check import rigid
+from zendsp.diagnosis.external.rigid_check import dry_inside, rigid
 from zendsp.errors import ModelError
 from zendsp.physics import load_model
 from zendsp.physics.model import Model, Quantity
@@ -42,7 +43,8 @@ def body(p: Mapping[str, float], q: Array, qd: Array) -> tuple[Array, Array]:
     turn = p["a3"] * s
     rest = np.stack(
         [-turn * (2 * qd[..., 0] * qd[..., 1] + qd[..., 1] ** 2) + p["g1"] * np.sin(q[..., 0])
-         + pull, turn * qd[..., 0] ** 2 + pull + p["b"] * qd[..., 1]], -1
+         + pull, turn * qd[..., 0] ** 2 + pull + p["b"] * qd[..., 1]
+         + p.get("dry", 0.0) * np.sign(qd[..., 1])], -1
     )  # fmt: skip
     return mass, rest
 
@@ -112,6 +114,19 @@ def test_inertia_and_torque_of_a_simulator_are_those_of_its_equations() -> None:
     # no effect of the library is tried where a free number does the same
     assert ("viscous", 2) in simulator.does and ("inertia", 1) in simulator.does
     assert ("viscous", 1) not in simulator.does and ("inertia", 2) not in simulator.does
+
+
+@pytest.mark.parametrize("level", [0.0, 0.03])
+def test_the_dry_friction_inside_a_simulator_is_known(level: float) -> None:
+    """What lacked at standstill was a push where it was not; its own number is no law to find."""
+    simulator = called(numbers={**ARM, "dry": level})
+    simulator.dry = dry_inside(simulator)
+    assert simulator.dry == pytest.approx((0.0, level), rel=0.03)
+    model: Any = SimpleNamespace(called=simulator, at=lambda _: ())
+    assert [rubs(model, joint) for joint in (1, 2)] == [False, level > 0.0]
+    state = motion(400)
+    simulator.bases(list(np.stack([state.q, state.qd, state.qdd]).transpose(2, 0, 1)))
+    assert (("coulomb", 2) in simulator.does) is (level > 0.0)
 
 
 def test_numbers_in_which_a_torque_is_not_linear_are_noticed_and_fitted() -> None:

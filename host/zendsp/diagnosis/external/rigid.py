@@ -135,6 +135,8 @@ class Called:
         Whether a joint (from 0) feels a number.
     does : set
         Effects, each with its joint (from 1), that a free number is by another name.
+    dry : tuple of float
+        Dry friction of each joint inside the simulator, N m or N; empty where nobody asked.
     """
 
     model: Model
@@ -150,6 +152,7 @@ class Called:
     in_mass: dict[str, bool] = field(default_factory=dict)
     feels: dict[tuple[str, int], bool] = field(default_factory=dict)
     does: set[tuple[str, int]] = field(default_factory=set)
+    dry: tuple[float, ...] = ()
     seconds: float = math.inf  # a state takes, with its restart: the shortest, whatever else runs
     asked: int = 0  # states that the present motion needs
     begun: int = 0  # ``calls`` before it
@@ -201,7 +204,7 @@ class Called:
         n, rows = len(motion), np.arange(len(motion))
         poses = np.unique(np.r_[rows[:: self._every(motion)], n - 1])
         self.asked, self.begun = self._needed(len(poses)) + n // self._run, self.calls
-        near = self._near(motion.at(poses))
+        near = self.near(motion.at(poses))
         poses = poses[near.good]
 
         def everywhere(values: Array) -> Array:
@@ -212,7 +215,9 @@ class Called:
         slope = everywhere(np.stack([self._slope(near, j) for j in range(self.joints)], axis=1))
         changes = {}
         for key in self.free:
-            dm, dh = (everywhere(x) for x in self._moved(near, key))
+            asked = self._moved(near, key)
+            dm, dh = (everywhere(x) for x in asked)
+            _switch(dh, motion.qd, asked[1], near.at.qd)
             changes[key] = dm, _times(dm, motion.qdd) + dh
         out = []
         for j in range(self.joints):
@@ -248,7 +253,7 @@ class Called:
         slow = FEWER if SLOW < self.seconds < math.inf else 1
         return max(1, round(slow * apart / self.sample_time))
 
-    def _near(self, at: State) -> Near:
+    def near(self, at: State) -> Near:
         """What the simulator is in some states."""
         first, rest, _ = self._body(at, np.zeros_like(at.q), self.numbers())
         torque = _times(first, at.qdd) + rest
@@ -318,7 +323,7 @@ class Called:
         """How far the torque with other numbers is from what the derivatives say of them, as a part
         of the joint's torque: the largest of any joint.
         """
-        near = self._near(self.probe)
+        near = self.near(self.probe)
         torque = near.torque.copy()
         for key in self.free:
             dm, dh = self._moved(near, key)
@@ -332,7 +337,7 @@ class Called:
         """The numbers with which the simulator needs nearly a measured torque (n, joints), by least
         squares beside friction, a spring and an offset of each joint.
         """
-        near = self._near(at)
+        near = self.near(at)
         moved = {}
         for key in self.free:
             dm, dh = self._moved(near, key)
@@ -462,12 +467,30 @@ def _alike_to(motion: State, j: int, mass: Array, torque: Array) -> list[str]:
     shapes = {"torque_offset": np.ones_like(qd), "viscous": qd}
     if np.any(mass):
         shapes = {"inertia": qdd}
-    size = float(np.linalg.norm(torque))
-    return [
-        name
-        for name, shape in shapes.items()
-        if abs(float(shape @ torque)) > SAME_SHAPE * size * float(np.linalg.norm(shape))
-    ]
+    found = [name for name, shape in shapes.items() if _same_shape(shape, torque)]
+    dry = not np.any(mass) and _follows_direction(torque, qd)
+    return [*found, "coulomb"] if dry else found
+
+
+def _switch(torque: Array, speed: Array, asked: Array, there: Array) -> None:
+    """Let a torque (n, joints) that is joined from states, in which it is ``asked``, switch where
+    the speed does, if it follows a joint's direction alone: a spline overshoots by a fifth there.
+    """
+    for j in range(torque.shape[1]):
+        if _follows_direction(asked[:, j], there[:, j]):
+            level = float(np.median(asked[:, j] * np.sign(there[:, j])))
+            torque[:, j] = level * np.sign(speed[:, j])
+
+
+def _follows_direction(torque: Array, speed: Array) -> bool:
+    """Whether a torque (n,) is a dry friction; where the joint stands, that may be anything."""
+    moves = np.abs(speed) > REVERSES * float(np.std(speed))
+    return _same_shape(np.sign(speed[moves]), torque[moves])
+
+
+def _same_shape(one: Array, other: Array) -> bool:
+    size = float(np.linalg.norm(one)) * float(np.linalg.norm(other))
+    return abs(float(one @ other)) > SAME_SHAPE * size
 
 
 def _times(mass: Array, x: Array) -> Array:

@@ -191,7 +191,7 @@ class Screen:
         # only columns of the same group: products of single rows
         grams = (some[:, :, None] @ some[:, None].swapaxes(-1, -2))[..., 0, 0]
         whole = grams.diagonal(axis1=1, axis2=2).copy()
-        beside = known.reshape(-1, each, known.shape[1])
+        beside = known.reshape(len(grams), each, known.shape[1])
         grams -= beside @ beside.swapaxes(1, 2)
         for i in np.flatnonzero((grams.diagonal(axis1=1, axis2=2) < IMITATED * whole).any(axis=1)):
             b = some[i, :, 0] - beside[i] @ self.q.T  # almost equal numbers
