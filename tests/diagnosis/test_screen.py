@@ -162,3 +162,10 @@ def test_a_group_of_columns_promises_what_least_squares_beside_the_calibrated_nu
         np.testing.assert_allclose(theta, wanted, rtol=1e-6)
         assert gain == pytest.approx(left @ left - np.sum((left + wanted @ beside) ** 2), rel=1e-6)
     assert found[-1][0] == 0.0 and not found[-1][1].any()  # not finite: it promises nothing
+
+
+def test_a_column_promises_its_gain_where_no_number_is_free() -> None:
+    """A simulator of which nothing may be calibrated."""
+    around = cast(Screen, SimpleNamespace(q=np.zeros((3, 0)), left=np.array([1.0, 2.0, 2.0])))
+    ((gain, theta),) = Screen.groups(around, np.array([[0.0, -1.0, 0.0]]), 1)
+    assert gain == pytest.approx(4.0) and theta == pytest.approx([2.0])
