@@ -241,11 +241,12 @@ def test_a_push_in_held_out_recordings_alone_is_reported_beside_a_finding(decide
     assert d.findings[1].parameters["level"].value == pytest.approx(0.03, rel=0.01)
 
 
+@pytest.mark.parametrize(("joints", "models"), [(1, ["bent", "clear"]), (6, [])])
 def test_pushes_are_asked_for_beside_the_likeliest_law_and_with_the_numbers_of_the_held(
-    monkeypatch: pytest.MonkeyPatch
+    joints: int, models: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A push to choose by had refused every law; pushes in the fit had bent the numbers of a drag
-    by half, so that it lacked something everywhere.
+    by half, so that it lacked something everywhere. A KUKA given without its load was not pushed.
     """
 
     def scored(name: str) -> Any:
@@ -253,8 +254,8 @@ def test_pushes_are_asked_for_beside_the_likeliest_law_and_with_the_numbers_of_t
 
     lacking = {"bent": {"fit": 0.09, "choose": 0.1, "test": 0.1}, "clear": {"fit": 0.2}}
 
-    def discrepancy(part: str, model: str, _: int) -> Size:
-        return Size(value := lacking[model].get(part, 0.0), value, value)
+    def discrepancy(part: Any, model: str, _: int) -> Size:
+        return Size(value := lacking[model].get(part.name, 0.0), value, value)
 
     beside: list[str] = []
 
@@ -274,10 +275,12 @@ def test_pushes_are_asked_for_beside_the_likeliest_law_and_with_the_numbers_of_t
     monkeypatch.setattr(decide, "_decided", lambda *_: out)
     rival = SimpleNamespace(effect="torque_offset", scored=scored("bent"))
     search: Any = SimpleNamespace(base=base, joint=1, tried=[rival], best=None)
-    each = ("fit", "choose", "test")
-    parts: Any = SimpleNamespace(fit="fit", choose="choose", test="test", each=each)
+    parts: Any = SimpleNamespace(
+        **{name: SimpleNamespace(name=name, joints=joints) for name in ("fit", "choose", "test")}
+    )
+    parts.each = (parts.fit, parts.choose, parts.test)
     decide.decide(parts, None, search, 1, lambda _: None)  # type: ignore[arg-type]
-    assert beside == ["bent", "clear"]
+    assert beside == models
 
 
 @pytest.mark.parametrize(

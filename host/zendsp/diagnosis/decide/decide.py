@@ -106,7 +106,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     # missing friction and pushes hide each other
     elif out.kind == Verdict.UNEXPLAINED and not out.loads:
         models = [r.scored for r in search.tried if get_effect(r.effect).common]
-        models += [r.scored for r in search.tried[:1]]  # which a push to choose by refuses
+        if parts.fit.joints == 1:  # of several, a wrong body is as likely, and no law of a joint
+            models += [r.scored for r in search.tried[:1]]  # which a push to choose by refuses
         models += [search.best] if search.best is not None else []
     else:
         return replace(out, beside=felt(out, parts, turning))

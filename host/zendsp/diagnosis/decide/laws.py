@@ -214,12 +214,14 @@ class _Judge:
         # torque over its own variables that the law leaves when it is alone
         law = _plain(ranked[0])[0]
         beside = [
-            p.size
+            p
             for p in ranked[1:]
             if bends(self.final, _plain(p)[0], law, any(p is o for o in own))
             and sure(self.parts.test, p)
         ]
-        return math.hypot(*beside) > least or (
+        bent = math.hypot(*(p.size for p in beside))
+        surely = max((p.evidence.z for p in beside), default=0.0)
+        return surely_more(Structure(bent, 1.0, surely), least) or (
             left is not None and self.after.high > least and surely_more(left, least)
         )
 

@@ -92,12 +92,16 @@ def pushed_beside(
 ) -> Bursts | None:
     """The pushes beside a missing friction, which hides them: those that explain most beside one of
     the ``models``; None where there are none.
+
+    Of a machine of several joints only those that the recordings of the fit lack: what the held-out
+    ones lack, or lack otherwise, may be a wrong body. A KUKA without its load was pushed.
     """
-    joint, best = out.joint, None
-    for scored in _with_numbers_of_the_held(models, parts, joint, jobs):
+    joint, best, alone = out.joint, None, parts.fit.joints == 1
+    where = parts.each if alone else (parts.fit,)
+    for scored in _with_numbers_of_the_held(models, parts, joint, jobs) if alone else models:
         model = scored.model
         # a push in held-out recordings takes the evidence of what is missing, or stands beside it
-        lacks = max(discrepancy(part, model, joint).value for part in parts.each)
+        lacks = max(discrepancy(part, model, joint).value for part in where)
         if lost(parts, model, joint) or lacks < LAWFUL:
             continue
         for found in (in_held(parts, model, joint, OFTEN), in_fit(parts, model, joint, MANY)):
