@@ -28,7 +28,7 @@ from zendsp.physics.model import Quantity, Term
 def model(*effects: str) -> Any:
     """A model with these effects at joint 1."""
     terms = tuple(Term(e, 1, {"level": Quantity(1.0)}) for e in effects)
-    return SimpleNamespace(at=lambda joint: terms if joint == 1 else (), terms=terms)
+    return SimpleNamespace(at=lambda joint: terms if joint == 1 else (), terms=terms, called=None)
 
 
 @pytest.mark.parametrize(
