@@ -452,3 +452,16 @@ def test_what_a_law_explains_without_spoiling_other_times_is_no_push(
     laws: Any = ["law"]
     assert pushes.of_a_law(pushed, laws, parts) == is_one
     assert not pushes.of_a_law(pushed, [], parts)
+
+
+@pytest.mark.parametrize(("shown", "kind"), [(0.012, "complete"), (0.04, "unexplained")])
+def test_what_lacks_is_as_large_as_one_observer_surely_shows(shown: float, kind: str) -> None:
+    """A complete machine with coarse counts: a fast observer showed 4 % and perhaps nothing, a slow
+    one surely something, of 1 %.
+    """
+    before, one = Size(0.044, 0.008, 0.22, shown=shown), SimpleNamespace(model=None)
+    nothing: Any = SimpleNamespace()
+    pushed = Decision(
+        1, "disturbance", (), (), one, one, before, before, nothing, before, one, 1.0,  # type: ignore[arg-type]
+    )  # fmt: skip
+    assert pushes.unpushed(pushed).kind == kind

@@ -61,7 +61,7 @@ from zendsp.diagnosis.decide.thresholds import (
     THROWN,
 )
 from zendsp.diagnosis.measure.bursts import periodic
-from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
+from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy, surely_beyond
 from zendsp.diagnosis.measure.likelihood import Scored, informative
 from zendsp.diagnosis.measure.significance import essence_of
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
@@ -392,7 +392,7 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
     surely = beyond(out.before.low, out.known.all) > LAWFUL
     # an error n times the sensor's counts as much with an nth of the torque
     thrown = off and lacks > OF_STATE and lacks * error > THROWN * sensor
-    if lawful or surely or thrown or (lacks > MACHINE and out.before.low > 0.0):
+    if lawful or surely or thrown or surely_beyond(out.before, out.known.all) > MACHINE:
         return replace(out, kind=Verdict.UNEXPLAINED)
     if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
         return replace(out, kind=Verdict.UNEXPLAINED)

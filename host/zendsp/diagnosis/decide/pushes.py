@@ -35,7 +35,7 @@ from zendsp.diagnosis.measure.bursts import (
     bursts,
     everywhere,
 )
-from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
+from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy, surely_beyond
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.physics.calibration.fit import Data, joint_handles
@@ -232,8 +232,7 @@ def unpushed(decision: Decision) -> Decision:
     """
     if decision.kind != Verdict.DISTURBANCE:
         return replace(decision, bursts=None)
-    lacks = beyond(decision.before.value, decision.known.all)
-    surely = lacks > MACHINE and decision.before.low > 0.0
+    surely = surely_beyond(decision.before, decision.known.all) > MACHINE
     return replace(
         decision,
         kind=Verdict.UNEXPLAINED if surely else Verdict.COMPLETE,

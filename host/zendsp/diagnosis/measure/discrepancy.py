@@ -42,13 +42,15 @@ FASTEST = 0.98  # quantile used as a joint's speed, since a few samples may be s
 @dataclass(frozen=True)
 class Size:
     """An RMS torque as a part of that of the recordings: the estimate and its 95 % interval.
-    ``often``: the estimates of nine in ten such recordings are below it.
+    ``often``: the estimates of nine in ten such recordings are below it. ``shown``: the estimate by
+    an observer that surely sees something at all; infinite where nobody asked.
     """
 
     value: float
     low: float
     high: float
     often: float = 0.0
+    shown: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -254,7 +256,8 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
         another shows, the stated sensor noise is too large, and the other gives the limit.
     """
     scale = mean_square(data, joint)
-    best, own = Size(0.0, 0.0, 0.0), 0.0  # own: upper limit by the observer that shows most
+    # own: upper limit by the observer that shows most
+    best, own = Size(0.0, 0.0, 0.0, shown=0.0), 0.0
     for band in holding(data, model, joint):
         found = _lasting(data, model, joint, band)
         of_sensor = [noise(rec[joint - 1], model, band, even=True) for rec in data.records]
@@ -269,7 +272,8 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
         value, low, high, often = (math.sqrt(max(0.0, x)) for x in at)
         own = high if value > best.value else own
         most = high if band == BANDS[0] else best.high
-        best = Size(max(best.value, value), max(best.low, low), most, max(best.often, often))
+        shown = max(best.shown, value if low > 0.0 else 0.0)
+        best = Size(max(best.value, value), max(best.low, low), most, max(best.often, often), shown)
     return best if best.high > best.value else replace(best, high=max(own, best.value))
 
 
@@ -305,6 +309,13 @@ def _lasting(data: Data, model: Model, joint: int, band: float) -> list[Array]:
 def beyond(size: float, known: float) -> float:
     """The part of an RMS torque beyond what is known to stay unexplained."""
     return float(np.sqrt(max(size**2 - known**2, 0.0)))
+
+
+def surely_beyond(size: Size, known: float) -> float:
+    """The same by an observer that surely sees something, 0 where none does. A fast one may show
+    most and not surely, beside a slow one that surely shows next to nothing.
+    """
+    return beyond(min(size.value, size.shown), known) if size.low > 0.0 else 0.0
 
 
 def falls(data: Data, without: Model, having: Model, joint: int, least: float) -> bool:
