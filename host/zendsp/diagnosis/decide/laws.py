@@ -220,8 +220,8 @@ class _Judge:
             and sure(self.parts.test, p)
         ]
         bent = math.hypot(*(p.size for p in beside))
-        surely = max((p.evidence.z for p in beside), default=0.0)
-        return surely_more(Structure(bent, 1.0, surely), least) or (
+        z = max((p.evidence.z for p in beside), default=0.0)
+        return surely_more(Structure(bent, 1.0, z), least) or (
             left is not None and self.after.high > least and surely_more(left, least)
         )
 

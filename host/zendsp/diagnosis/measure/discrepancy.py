@@ -312,8 +312,9 @@ def beyond(size: float, known: float) -> float:
 
 
 def surely_beyond(size: Size, known: float) -> float:
-    """The same by an observer that surely sees something, 0 where none does. A fast one may show
-    most and not surely, beside a slow one that surely shows next to nothing.
+    """The part of a size beyond what is known to stay unexplained, by an observer that surely sees
+    something; 0 where none does. A fast one may show most and not surely, and a slow one surely
+    next to nothing.
     """
     return beyond(min(size.value, size.shown), known) if size.low > 0.0 else 0.0
 
