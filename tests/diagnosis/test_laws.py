@@ -23,8 +23,7 @@ from zendsp.diagnosis.decide.notes import apart, bent
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.result import Errors, FitTable
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR, PLAIN
-from zendsp.diagnosis.measure import neighbours
-from zendsp.diagnosis.measure.discrepancy import BANDS, Size
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
@@ -377,19 +376,3 @@ def test_a_neighbouring_law_is_no_evidence_where_more_stays_unexplained_than_the
     ahead = against_neighbours(data, fitted, fitted.model.at(1)[-1], 1, LAW_ERROR)
     assert (ahead <= -PLAIN) is refuted
     assert ahead <= 0.0  # a neighbour predicts better
-
-
-@pytest.mark.parametrize(("seen", "ahead"), [((-5.0, 4.2, 3.4, 2.3), 2.3), ((-2, -2.5, 1, 3), -2)])
-def test_what_one_observer_alone_sees_in_a_neighbour_refutes_no_law(
-    seen: tuple[float, ...], ahead: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A true Stribeck curve became a "torque that depends on the speed": of the noise that the
-    fastest observer left a neighbour took 1.5 %.
-    """
-    each = dict(zip(BANDS, seen, strict=True))
-    monkeypatch.setattr(neighbours, "_ahead", lambda _law, seen, _error: each[seen.band])
-    base = model_of(VISCOUS, COULOMB, {"kind": "quadratic_drag", "joint": 1, "coefficient": 0.001})
-    run = reality.simulate(reality.Machine(drag=0.001), reality.multisine(2.0, RATE, 3), RATE)
-    data = data_of(run, base)
-    fitted = fit_scored(data, base, joint_handles(data, base, 1), (1,), rounds=1)
-    assert against_neighbours(data, fitted, fitted.model.at(1)[-1], 1, LAW_ERROR) == ahead

@@ -94,10 +94,10 @@ def against_neighbours(
     Returns
     -------
     float
-        Standard deviations over blocks of time; of all observers the second lowest, since what a
-        single one sees may be its own noise, or too few blocks. Below 0 a neighbour predicts
-        better, by more than a law's possible error, and the unexplained torque is smaller than the
-        law. Minus infinite where the law is surely bent, by each of the two slowest observers, to
+        Standard deviations over blocks of time; of the observers that can tell, the second lowest,
+        since what a single one sees may be its own noise, or too few blocks. Below 0 a neighbour
+        predicts better, by more than a law's possible error. Where no observer can tell, since more
+        stays unexplained than the law explains, it is not below 0. Minus infinite where the law is surely bent, by each of the two slowest observers, to
         which the sensor's noise means least. Infinite where the law is no function of the state,
         has no neighbours different enough, or hardly acts where it counts for most observers.
     """
@@ -125,7 +125,9 @@ def against_neighbours(
         return float("inf")
     if any(_surely(law, each[-OBSERVERS:], k, error) for k in range(len(ways[0]))):
         return float("-inf")
-    return sorted(_ahead(law, seen, error) for seen in each)[OBSERVERS - 1]
+    found = [_ahead(law, seen, error) for seen in each]
+    telling = [ahead for ahead, tells in found if tells] or [max(ahead, 0.0) for ahead, _ in found]
+    return sorted(telling)[:OBSERVERS][-1]
 
 
 @dataclass(frozen=True)
@@ -204,8 +206,11 @@ def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
     return bend, deviation(sums) / weight
 
 
-def _ahead(law: _Law, seen: _Seen, error: float) -> float:
-    """How far a law is ahead of its neighbours for one observer, in standard deviations."""
+def _ahead(law: _Law, seen: _Seen, error: float) -> tuple[float, bool]:
+    """How far a law is ahead of its neighbours for one observer, in standard deviations; and
+    whether that observer can tell them apart: what the law leaves has less energy than the law. A
+    neighbour may absorb some of what stays.
+    """
     left = [r**2 for r in _rest(seen.own, seen, seen.wanted)[0]]
     worst = float("inf")
     for by in _neighbours(law.ways):
@@ -218,9 +223,7 @@ def _ahead(law: _Law, seen: _Seen, error: float) -> float:
         # a neighbour that needs a larger factor imitates another number of the model
         if not same and times < LARGER:
             worst = min(worst, total / spread if spread > 0 else 0.0)
-    if sum(float(each.sum()) for each in left) > seen.energy:
-        worst = max(worst, 0.0)  # a neighbour may absorb some of what stays
-    return worst
+    return worst, sum(float(each.sum()) for each in left) <= seen.energy
 
 
 def _used(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:

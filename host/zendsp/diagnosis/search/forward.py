@@ -156,7 +156,8 @@ class Searcher:
 
     def softened(self, base: Scored) -> Scored | None:
         """The calibrated model with a dry friction that creeps instead of holding; None where it
-        has no dry friction, or creep does not pay.
+        has no dry friction, or creep does not pay, or is larger than solvers and grease have it: a
+        ripple of an arm's last joint was a creep with a lead of 0.1 s.
         """
         had = base.model.at(self.joint)
         holds = any(get_effect(t.effect).site == "dry" for t in had)
@@ -164,6 +165,9 @@ class Searcher:
             return None
         best = self.creeping(base)
         terms = best.model.terms[-1:]
+        numbers = zip(best.fit.handles, best.fit.at_bound, strict=True)
+        if any(bound and h.index == len(best.model.terms) - 1 for h, bound in numbers):
+            return None
         creep = Rival("creep", self.joint, best, price(terms, self.rounds.n), terms, ())
         return best if self.accept(base, creep) else None
 
