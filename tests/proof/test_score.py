@@ -82,6 +82,14 @@ def test_false_alarms_are_claims_on_complete_machines() -> None:
     assert judge(t, Answer("unexplained")).alarm is True
 
 
+def test_a_mechanism_of_what_is_also_true_of_a_machine_is_no_false_alarm() -> None:
+    t = truth([], kind="complete", verdict="complete", also_true=["saturation"])
+    unlawful = Answer("missing", (found("unknown", mechanism="actuator"),))
+    assert judge(t, unlawful).alarm is False and judge(t, unlawful).extra == 0
+    assert judge(t, Answer("missing", (found("unknown", mechanism="dry_friction"),))).alarm is True
+    assert judge(truth([], kind="complete", verdict="complete"), unlawful).alarm is True
+
+
 def test_a_disturbance_named_beside_a_nuisance_is_charged_and_unexplained_is_true_of_a_large_one() -> (  # noqa: E501
     None
 ):

@@ -139,7 +139,7 @@ def rightness(
     A second finding of a mechanism that acts once is beyond the truth, unless its law is right too.
     """
     out = [
-        "law" if f.effect in also_true or any(matches(f, e) for e in effects) else ""
+        "law" if stands_beside(f, also_true) or any(matches(f, e) for e in effects) else ""
         for f in findings
     ]
     taken = {t for t, e in enumerate(effects) if any(matches(f, e) for f in findings)}
@@ -152,6 +152,15 @@ def rightness(
                 taken.add(t)
                 break
     return out
+
+
+def stands_beside(finding: Finding, also_true: set[str]) -> bool:
+    """The finding names what is true of the machine beside what a case conceals, by its law or by
+    its mechanism without one.
+    """
+    known = {MECHANISM[name] for name in also_true if name in MECHANISM}
+    held = finding.effect == "unknown" and finding.mechanism in known
+    return finding.effect in also_true or held
 
 
 def held_back(finding: Finding, effects: Sequence[Effect]) -> bool:
@@ -287,7 +296,7 @@ def judge(truth: Truth, answer: Answer) -> Judgement:
 
 def of_nothing(judged: Judgement, answer: Answer, also_true: set[str]) -> Judgement:
     """Answers about a machine whose given model is complete: every name is an error."""
-    right = [f.effect in also_true for f in answer.findings]
+    right = [stands_beside(f, also_true) for f in answer.findings]
     unexplained = answer.verdict == "unexplained" and "unexplained" not in also_true
     alarm = not all(right) or (unexplained and not answer.findings)
     return replace(
@@ -302,7 +311,7 @@ def of_foreign(
     """Answers about a torque without a law: unexplained, or a mechanism that acts with no law
     claimed.
     """
-    right = [f.effect in also_true or held_back(f, effects) for f in answer.findings]
+    right = [stands_beside(f, also_true) or held_back(f, effects) for f in answer.findings]
     said = answer.verdict == "unexplained" or bool(answer.findings)
     plain = max(e.get("oracle", {}).get("torque_share", 1.0) for e in effects) >= FAINTEST
     unseen = answer.verdict == "complete" and not plain

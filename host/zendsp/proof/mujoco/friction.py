@@ -142,9 +142,10 @@ def _load_friction(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Con
 def _position_friction(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     level = 1.4 * size * s.torque
     period, phase, edge = s.reach * rng.uniform(0.3, 0.8), rng.uniform(-pi, pi), smooth(s)
+    least = -b.joints[joint].dry  # no place drives the joint
 
     def torque(t: float, q: float, v: float, u: float) -> float:
-        return -level * sin(2 * pi * q / period + phase) * tanh(v / edge)
+        return -max(level * sin(2 * pi * q / period + phase), least) * tanh(v / edge)
 
     b.laws.append((joint, lambda h: torque))
     values = {"amplitude": (level, unit(b)), "period": (period, "rad")}
