@@ -97,9 +97,10 @@ def against_neighbours(
         Standard deviations over blocks of time; of the observers that can tell, the second lowest,
         since what a single one sees may be its own noise, or too few blocks. Below 0 a neighbour
         predicts better, by more than a law's possible error. Where no observer can tell, since more
-        stays unexplained than the law explains, it is not below 0. Minus infinite where the law is surely bent, by each of the two slowest observers, to
-        which the sensor's noise means least. Infinite where the law is no function of the state,
-        has no neighbours different enough, or hardly acts where it counts for most observers.
+        stays unexplained than the law explains, it is not below 0. Minus infinite where the law is
+        surely bent, by each of the two slowest observers, to which the sensor's noise means least.
+        Infinite where the law is no function of the state, has no neighbours different enough, or
+        hardly acts where it counts for most observers.
     """
     slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
