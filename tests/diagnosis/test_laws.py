@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -320,16 +321,20 @@ def test_the_mechanism_of_an_unknown_torque_is_judged_beside_the_named_laws(
     assert [c.effect for c in decided.claims] == (["stribeck", "unknown"] if stands else [])
 
 
-@pytest.mark.parametrize(("share", "claimed"), [(0.92, True), (0.74, False)])
+@pytest.mark.parametrize(
+    ("share", "of_two", "claimed"), [(0.92, 0.6, True), (0.74, 0.6, False), (0.92, 0.7, False)]
+)
 def test_the_actuator_is_not_blamed_for_torque_that_its_command_must_balance(
-    share: float, claimed: bool, monkeypatch: pytest.MonkeyPatch
+    share: float, of_two: float, claimed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A drag one way on half of the travel is one over place and direction."""
     lacks = 0.3
 
     def predicted(
-        _parts: Any, _model: Any, _joint: int, by: list[str], _turning: bool
+        _parts: Any, _model: Any, _joint: int, by: Sequence[str], _turning: bool
     ) -> Structure:
-        return Structure(0.9 * lacks if by == ["actuator"] else 0.1 * lacks, share, 9.0)
+        alone = 0.9 if list(by) == ["actuator"] else 0.1
+        return Structure((alone if len(by) == 1 else of_two) * lacks, share, 9.0)
 
     monkeypatch.setattr(nameless, "structure", predicted)
     base, size = SimpleNamespace(model=None), Size(lacks, 0.9 * lacks, 1.1 * lacks)

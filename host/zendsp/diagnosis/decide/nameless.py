@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -44,8 +45,13 @@ def only_mechanism(parts: Parts, given: Model, out: Decision, turning: bool) -> 
     least = PREDICTED * max(out.state.size, out.before.value) ** 2
     if best.z < SURE or best.size**2 < least or best.share < _least(order[0]):
         return None
-    other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))
-    if other.size**2 > RIVAL * best.size**2:
+    others = [m for m in order[1:] if m not in kind_of(order[0])]
+    rivals = [alone[others[0]]]
+    if order[0] == "actuator":
+        # in a loop the command follows a torque over two of them, such as place and direction
+        pairs = combinations(others, 2)
+        rivals += [structure(parts.each, base.model, joint, pair, turning) for pair in pairs]
+    if max(r.size for r in rivals) ** 2 > RIVAL * best.size**2:
         return None
     evidence = Evidence(0.0, best.z, np.zeros(1))
     term = Term("unknown", joint, {})
