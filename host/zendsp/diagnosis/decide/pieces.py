@@ -160,6 +160,8 @@ def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -
             return final
         worst: tuple[float, Scored] | None = None
         for term in new:
+            if get_effect(term.effect).common and not has(given, mechanism_of(term.effect), joint):
+                continue  # every machine has it: untouched recordings say whether this one shows it
             if any(
                 term.effect in get_effect(t.effect).needs
                 for t in final.model.at(joint)

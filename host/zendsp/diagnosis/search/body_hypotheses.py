@@ -154,6 +154,21 @@ def turned_joints(h: Hypothesis) -> list[int]:
     return [int(key.removeprefix("zero")) for key in h.free if key.startswith("zero")]
 
 
+# of the largest torque that another zero causes: rounding of its difference over a small turn is a
+# ten-thousandth of it
+UNFELT_ZERO = 1e-6
+
+
+def homed(links: Links) -> list[int]:
+    """The joints (from 1) whose zero some joint feels: not that of an upright first axis, nor that
+    of an axis through the centre of all that it turns. (By rounding alone such joints of an arm
+    were 4e8 rad beside their zeros, and its recordings refused.)
+    """
+    sizes = np.abs(links.zeros({}, ())).max(axis=(0, 2), initial=0.0)
+    least = UNFELT_ZERO * float(sizes.max(initial=0.0))
+    return [k + 1 for k in links.turning if sizes[k] > least]
+
+
 # for each coordinate of a link's centre, those of its ten ``NUMBERS`` that contain it
 _HOLDS = {"com_x": (1, 5, 6, 7, 8), "com_y": (2, 4, 6, 7, 9), "com_z": (3, 4, 5, 8, 9)}
 UNFELT = 1e-9  # of the largest column of a link: rounding is 1e-16 of it
@@ -212,7 +227,7 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     if keys := calibrated(model):
         out.append(Hypothesis("calibration", free=keys, cost=RARE))
     out.append(Hypothesis("torque_gain", free=("ratio",), cost=RARE))
-    turning = [k + 1 for k in ([1] if flat else links.turning)]
+    turning = [2] if flat else homed(links)
     out += [zeros([joint], model) for joint in turning]
     out += [zeros(turning, model)] if len(turning) > 1 else []
     for j in range(1, len(links.bodies) + 1):

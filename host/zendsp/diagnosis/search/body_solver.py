@@ -192,7 +192,7 @@ class Solver:
         if h.effect in ("torque_gain", "gravity_scale"):
             most = self.limits.gain if h.joint or h.effect != "torque_gain" else self.limits.gains
             return bool(abs(known["ratio"]) < most)
-        return True
+        return all(abs(known[key]) <= np.pi for key in h.free if key.startswith("zero"))
 
     def std(self, h: Hypothesis, values: Array) -> Array:
         """Standard deviations from the scatter of the blocks, (p,)."""

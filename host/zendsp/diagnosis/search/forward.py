@@ -251,13 +251,15 @@ class Searcher:
                 r for r in rivals[:RUNNERS] if self.accept(since, replace(r, price=paid + r.price))
             )
             holds = next(passing, None)
-            chosen = self._in_gap(current, holds or rivals[0])
+            may_wait = (r for r in rivals[:RUNNERS] if self._may_wait(current, r))
+            waits = next(may_wait, None) if holds is None and not waiting else None
+            chosen = self._in_gap(current, holds or waits or rivals[0])
             rivals = [chosen, *[r for r in rivals if r.effect != chosen.effect]]
             step = Step(chosen, tuple(rivals[1:]), current)
             if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
-            elif not waiting and self._may_wait(current, chosen):
+            elif waits is not None:
                 waiting = [replace(step, alone=False)]
             else:
                 break

@@ -49,6 +49,9 @@ def check_zero(data: Data, model: Model, best: Explained, limits: BodyLimits) ->
     h = best.hypothesis
     if h.effect != "zero" or not (seen(best, limits) or clear(best, limits)):
         return
+    # each torque of an arm follows from all of its angles, so another zero makes none less likely
+    if np.any(best.joints < -limits.share * best.gain):
+        return
     sure = np.abs(best.values) > limits.sure * best.std
     found = zip(turned_joints(h), best.values.tolist(), sure, strict=False)  # beside calibration
     angles = {joint: angle for joint, angle, known in found if known}
