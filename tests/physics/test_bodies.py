@@ -16,7 +16,8 @@ from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Quantity, Term
 from zendsp.physics.robots.bodies import Links, change_of, changed, numbers_of, turned_gravity
 from zendsp.physics.robots.rigid import bases
-from zendsp.tree import inverse_dynamics, mass_matrices, own_inertias, read_urdf, torque_slope
+from zendsp.physics.robots.urdf import read_urdf
+from zendsp.tree import inverse_dynamics, mass_matrices, own_inertias, torque_slope
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
 ARM = MODELS / "wam7.urdf"

@@ -10,7 +10,7 @@ from zendsp.errors import ModelError
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.robots.mjcf import read_mjcf
 from zendsp.physics.robots.robot import robot_tree
-from zendsp.tree import read_urdf
+from zendsp.physics.robots.urdf import read_urdf
 
 
 def test_a_urdf_whose_meshes_are_in_another_package_is_read_and_written_back(

@@ -13,8 +13,8 @@ from pathlib import Path
 from zendsp.errors import ModelError
 from zendsp.physics.files.draft_data import Group, one_or_each
 from zendsp.physics.files.draft_tables import Page, put_effects
+from zendsp.physics.robots.urdf import urdf_coupled, urdf_joints
 from zendsp.recording.roles import Role
-from zendsp.tree import urdf_coupled, urdf_joints
 from zendsp_protocol.texts import counted
 
 KINDS = {".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}

@@ -13,7 +13,8 @@ from zendsp.errors import ModelError
 from zendsp.physics.model import TREES, Actuator, Model, Quantity, Robot, Term
 from zendsp.physics.robots.mjcf import Mjcf, read_mjcf, stated_terms
 from zendsp.physics.robots.mjcf_drives import Drive, read_drives
-from zendsp.tree import Body, read_urdf
+from zendsp.physics.robots.urdf import read_urdf
+from zendsp.tree import Body
 
 Array = npt.NDArray[np.float64]
 
