@@ -17,9 +17,10 @@ from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.claims import Claim, claims_of
+from zendsp.diagnosis.transmission.motor_side import Motor
 from zendsp.diagnosis.transmission.sets import Sets, lag_of, torque_scale
 from zendsp.diagnosis.transmission.terms import choose, may_be_off
-from zendsp.diagnosis.transmission.torsion import Motor, Twist, held_drive, lowpass
+from zendsp.diagnosis.transmission.torsion import Twist, held_drive, lowpass
 from zendsp.diagnosis.transmission.waves import waves_of
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Quantity, Term

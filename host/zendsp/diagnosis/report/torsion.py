@@ -16,19 +16,16 @@ from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.curve_panels import two_panels
 from zendsp.diagnosis.report.sides import units_at
 from zendsp.diagnosis.transmission.findings import measured
+from zendsp.diagnosis.transmission.motor_side import joint_inertia, with_motor_torque
 from zendsp.diagnosis.transmission.torsion import (
     OF_BODIES,
     OF_MOTOR,
     Twist,
-    columns_of,
     has_bodies,
-    joint_inertia,
     lowpass,
-    regress,
     twists,
-    wave,
-    with_motor_torque,
 )
+from zendsp.diagnosis.transmission.torsion_fit import columns_of, regress, wave
 
 Array = npt.NDArray[np.float64]
 TERMS = {  # the part of the torsion that each law explains

@@ -22,16 +22,8 @@ from zendsp.diagnosis.transmission.terms import (
     may_be_off,
     physical,
 )
-from zendsp.diagnosis.transmission.torsion import (
-    Array,
-    Twist,
-    columns_of,
-    evidence,
-    judged,
-    numbers_of,
-    regress,
-    rms,
-)
+from zendsp.diagnosis.transmission.torsion import Array, Twist, judged
+from zendsp.diagnosis.transmission.torsion_fit import columns_of, evidence, numbers_of, regress, rms
 from zendsp.physics.model import Model
 
 POWER = 1.28  # standard deviations: for a chance of nine in ten

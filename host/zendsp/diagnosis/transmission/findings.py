@@ -19,7 +19,8 @@ from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.transmission.claims import Claim
 from zendsp.diagnosis.transmission.load_side import OF_A_CONTACT as CONTACT_KNOWN
 from zendsp.diagnosis.transmission.load_side import LoadSide
-from zendsp.diagnosis.transmission.torsion import Motor, has_bodies, joint_inertia
+from zendsp.diagnosis.transmission.motor_side import Motor, joint_inertia
+from zendsp.diagnosis.transmission.torsion import has_bodies
 from zendsp.physics.calibration.handles import LEADER
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Quantity, Term

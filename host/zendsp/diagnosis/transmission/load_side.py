@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.transmission.sets import OPEN, Sets
-from zendsp.diagnosis.transmission.torsion import Array, Twist, lowpass, regress, rms
+from zendsp.diagnosis.transmission.torsion import Array, Twist, lowpass
+from zendsp.diagnosis.transmission.torsion_fit import regress, rms
 from zendsp.physics.calibration.handles import Tie
 
 # of a ratio: twelve simulated belts, linear and rotary, came out 0.1 to 0.8 % off

@@ -24,22 +24,15 @@ from zendsp.diagnosis.transmission.findings import (
     rubbing,
 )
 from zendsp.diagnosis.transmission.load_side import LoadSide, gap_side, load_side
-from zendsp.diagnosis.transmission.sets import (
-    Sets,
-    compliance_unit,
-    lag_of,
-    sets_of,
-    torque_scale,
-)
+from zendsp.diagnosis.transmission.motor_side import Motor, joint_inertia
+from zendsp.diagnosis.transmission.sets import Sets, compliance_unit, lag_of, sets_of, torque_scale
 from zendsp.diagnosis.transmission.terms import choose
 from zendsp.diagnosis.transmission.torque_sensor import sides_of
 from zendsp.diagnosis.transmission.torsion import (
     OF_BODIES,
     OF_MOTOR,
-    Motor,
     earlier,
     has_bodies,
-    joint_inertia,
     lowpass,
     moved,
 )

@@ -11,7 +11,8 @@ import numpy as np
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.thresholds import SURE
-from zendsp.diagnosis.transmission.torsion import Twist, gap_shape, joined, lowpass, rms, twists
+from zendsp.diagnosis.transmission.torsion import Twist, joined, lowpass, twists
+from zendsp.diagnosis.transmission.torsion_fit import gap_shape, rms
 from zendsp.physics.model import Model
 
 # of the RMS torque: below, a gap may be open. With the motor's torque alone, a simulated gap of 12

@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from zendsp.diagnosis.transmission.motor_side import Motor, with_motor_torque
 from zendsp.diagnosis.transmission.sets import Sets, clear_of_a_gap, loaded, torque_scale
-from zendsp.diagnosis.transmission.torsion import (
-    Array,
+from zendsp.diagnosis.transmission.torsion import Array, Twist
+from zendsp.diagnosis.transmission.torsion_fit import (
     Linear,
-    Motor,
-    Twist,
     columns_of,
     evidence,
     numbers_of,
     regress,
-    with_motor_torque,
 )
 
 # deviance: an eccentric encoder disc that gains less is not assumed, since beside it a spring's

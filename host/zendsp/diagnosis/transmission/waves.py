@@ -12,20 +12,12 @@ from zendsp.diagnosis.decide.claims import needed
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.transmission.claims import ENOUGH, Claim, apart, unexplained
 from zendsp.diagnosis.transmission.sets import Sets
-from zendsp.diagnosis.transmission.torsion import (
-    Array,
-    Linear,
-    Twist,
-    evidence,
-    nuisance,
-    regress,
-    rms,
-    strongest_order,
-    wave,
-)
+from zendsp.diagnosis.transmission.torsion import Array, Twist
+from zendsp.diagnosis.transmission.torsion_fit import Linear, evidence, nuisance, regress, rms, wave
 from zendsp.physics.model import Model
 
 WAVES = 2  # errors over the angle, at most
+ORDERS = 4000  # of an error over the angle that are tried, at most
 STRIDES = 8  # grid steps of an order around the estimate from bins of the angle
 DISC = 1.0  # the order of a disc off centre, which is taken out before
 AT_BOUND = 0.9  # of half a period over the travel: a minimum there lies outside the searched range
@@ -40,7 +32,7 @@ def waves_of(raw: Sets, model: Model) -> tuple[list[Claim], Sets]:
     """
     out: list[Claim] = []
     while len(out) < WAVES:
-        order = strongest_order(raw.fit, _beneath(raw.fit).residual)
+        order = _strongest_order(raw.fit, _beneath(raw.fit).residual)
         claim = _wave(raw, model, order) if order else None
         if claim is None:
             break
@@ -125,3 +117,29 @@ def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
     if not sure or size <= ENOUGH * left:
         return None
     return Claim("wave", amplitude, std, held, log_e, size, left, order, phase, order_std)
+
+
+def _strongest_order(twists: Sequence[Twist], residual: Sequence[Array]) -> float:
+    """The strongest order of a residual over the angle, with at least one period within the
+    recordings; 0 where there is none.
+
+    Rows are summed into bins of the angle and transformed at once.
+    """
+    q = np.concatenate([t.q[t.kept] for t in twists])
+    r = np.concatenate(residual)
+    span = float(np.ptp(q))
+    fast = max(float(np.quantile(np.abs(t.qd[t.kept]), 0.9)) for t in twists)
+    lowest = 2 * np.pi / span
+    highest = min(0.8 * np.pi / (max(t.sample_time for t in twists) * fast), ORDERS * lowest / 8)
+    if not highest > 3 * lowest:
+        return 0.0
+    places = int(4 * highest * span / (2 * np.pi)) + 1
+    place = np.minimum((places * (q - q.min()) / span).astype(int), places - 1)
+    total = np.bincount(place, r, places)
+    size = 8 * places
+    power = np.abs(np.fft.rfft(total, size)) ** 2
+    orders = 2 * np.pi * np.arange(len(power)) / (size * span / places)
+    use = (orders >= 2 * lowest) & (orders <= highest)
+    if not use.any():
+        return 0.0
+    return float(orders[use][np.argmax(power[use])])
