@@ -5,13 +5,12 @@ findings, and report what remains.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_motion
@@ -36,21 +35,17 @@ from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import (
     Detectable,
     Diagnosis,
-    Errors,
     Estimate,
     Finding,
-    FitTable,
-    Left,
     Next,
     Workings,
     number,
 )
 from zendsp.diagnosis.decide.thresholds import FINEST
 from zendsp.diagnosis.decide.zeros import check_zeros
-from zendsp.diagnosis.machine import Found, Stopped, find
+from zendsp.diagnosis.machine import Found, Stopped
 from zendsp.diagnosis.measure.discrepancy import beyond
-from zendsp.diagnosis.measure.where import Missing, Region, Times, located
-from zendsp.diagnosis.measure.windows import model_error, noise_floor
+from zendsp.diagnosis.outcome import doubted, errors_of, left_at, verdict_of, where_and_when
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
@@ -58,6 +53,7 @@ from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
 from zendsp.diagnosis.transmission.torque_sensor import sided
+from zendsp.diagnosis.undisturbed import find
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
@@ -193,19 +189,19 @@ def _with_zeros_given(
         if not so_far:
             raise
         stopped = [ENDED_LAST]
-    verdict = _verdict(findings, decisions, bool(stopped))
+    verdict = verdict_of(findings, decisions, bool(stopped))
     better = whole.improved if findings else whole.calibrated
     improved = remembered(better, given, decisions, findings)
     shown_on = parts.test if found.load else parts.fit  # where the missing torque can be seen
     joints = range(1, given.joints + 1)
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
-    places, times, at = _located(lacking, found, findings, verdict)
+    places, times, at = where_and_when(lacking, found, findings, verdict)
     decisions = looked.decisions
     alone = unseen(parts, found.bodies.model, decisions)
     notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]
     seen = (*looked.seen, *(d for m in found.measured for d in m.detectable), *alone)
-    own, *others = _errors(parts, (given, whole.calibrated, improved))
+    own, *others = errors_of(parts, (given, whole.calibrated, improved))
     notes += [*said(alone), *notes_of(decisions, given), *clocks]
     notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
@@ -220,7 +216,7 @@ def _with_zeros_given(
         estimation=own.estimation, heldout=own.heldout, test=own.test,
         noise_floor=own.noise_floor,
         others=tuple(others),
-        discrepancy=tuple(_left(d) for d in decisions),
+        discrepancy=tuple(left_at(d) for d in decisions),
         detectable=tuple(x for x in seen if x.is_shown),
         undetectable=tuple(x for x in seen if not x.is_shown),
         rejected=rejected,
@@ -235,7 +231,7 @@ def _with_zeros_given(
         remaining={j: after for j, (_, _, after) in seen_at.items()},
         workings=Workings(found.searches, decisions, whole, shown_on, parts.test),
         stopped=bool(stopped),
-        doubted=_doubted(findings, decisions),
+        doubted=doubted(findings, decisions),
     )
 
 
@@ -341,30 +337,6 @@ def _unnamed(
     return replace(out, kind=Verdict.COMPLETE) if small else out
 
 
-def _verdict(
-    findings: Sequence[Finding], decisions: Sequence[Decision], stopped: bool
-) -> Verdict:
-    if findings:
-        return Verdict.MISSING
-    complete = not stopped and {d.kind for d in decisions} == {Verdict.COMPLETE}
-    return Verdict.COMPLETE if complete else Verdict.UNEXPLAINED
-
-
-def _doubted(
-    findings: Sequence[Finding], decisions: Sequence[Decision]
-) -> tuple[tuple[str, int], ...]:
-    """Effects that only the recordings of the fit show, where nothing else is left open."""
-    if findings or any(d.kind != Verdict.COMPLETE and not d.doubted for d in decisions):
-        return ()
-    return tuple(law for d in decisions for law in d.doubted)
-
-
-def _left(decision: Decision) -> Left:
-    after = decision.after
-    share, low, high = (min(1.0, x) for x in (after.value, after.low, after.high))
-    return Left(decision.joint, share, (low, high))
-
-
 def _ready(
     recordings: Sequence[Source],
     heldout: Sequence[Source],
@@ -429,55 +401,3 @@ def _read(
     signals, held, notes = read_divided(recordings, heldout, model)
     choose, test, how = halves(held)
     return signals, choose, test, [*notes, *how]
-
-
-def _located(
-    lacking: Mapping[int, Sequence[Missing]],
-    found: Found,
-    findings: Sequence[Finding],
-    verdict: Verdict,
-) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
-    """Where and when the missing torque acts: of pushes their times; for a complete model, when
-    something pushes it.
-    """
-    if verdict == Verdict.COMPLETE:
-        pushes = [d.beside for d in found.decisions if d.beside is not None]
-    else:
-        pushes = [d.bursts for d in found.decisions if d.kind == Verdict.DISTURBANCE and d.bursts]
-    told = {d.joint for d in found.decisions if d.bursts in pushes}
-    elsewhere = {j: lacking[j] for j in _lacking(found, findings, verdict) - told}
-    places, times, at = located(elsewhere)
-    spans = tuple(span for push in pushes for span in push.intervals)
-    names = tuple(name for push in pushes for name in push.recordings)
-    return places, (*spans, *times), (*names, *at)
-
-
-def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set[int]:
-    """The joints at which something is missing; all joints where a body is missing, which all may
-    feel.
-    """
-    if verdict == Verdict.COMPLETE:
-        return set()
-    if found.claims:
-        return {d.joint for d in found.decisions}
-    lacking = {d.joint for d in found.decisions if d.kind != Verdict.COMPLETE}
-    return lacking | {f.joint for f in findings}
-
-
-def _errors(parts: Parts, models: tuple[Model, Model, Model]) -> list[Errors]:
-    """The errors of the given, calibrated and improved model, once for each unit of position."""
-    units: dict[str, tuple[int, ...]] = {}
-    for joint in range(1, models[0].joints + 1):
-        unit = models[0].position_unit(joint)
-        units[unit] = (*units.get(unit, ()), joint)
-
-    def table(data: Data, joints: tuple[int, ...]) -> FitTable:
-        return FitTable(*(float(np.float64(model_error(data, m, joints))) for m in models))
-
-    return [
-        Errors(
-            unit, joints, table(parts.fit, joints), table(parts.held, joints),
-            table(parts.test, joints), noise_floor(parts.test, *joints),
-        )
-        for unit, joints in units.items()
-    ]  # fmt: skip

@@ -1,6 +1,4 @@
-"""The findings of a whole machine: bodies, transmissions, then every joint; and once more in the
-rest of the recordings, where something pushes or another load is carried.
-"""
+"""The findings of a whole machine: bodies, transmissions, then every joint."""
 
 from __future__ import annotations
 
@@ -9,16 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from zendsp.diagnosis.data.prepare import of_one_sensor, prepare
-from zendsp.diagnosis.data.signals import Parts, Signals
-from zendsp.diagnosis.data.split import cut_out
-from zendsp.diagnosis.decide.across import (
-    across_joints,
-    friction_beside,
-    may_be_strapped,
-    timing,
-)
-from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.across import across_joints, friction_beside, may_be_strapped, timing
+from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide_bodies import (
@@ -31,8 +22,6 @@ from zendsp.diagnosis.decide.decide_bodies import (
     settled,
 )
 from zendsp.diagnosis.decide.fast_ripple import finding_of
-from zendsp.diagnosis.decide.other_load import other_load
-from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.decide.thresholds import OWN_SHARE
 from zendsp.diagnosis.joints import (
@@ -50,10 +39,9 @@ from zendsp.diagnosis.joints import (
     with_fine_ripples,
     with_their_links,
 )
-from zendsp.diagnosis.measure.bursts import everywhere
-from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
+from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
-from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
+from zendsp.diagnosis.measure.windows import model_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, find_bodies
 from zendsp.diagnosis.search.body_columns import Layout
@@ -61,12 +49,7 @@ from zendsp.diagnosis.search.body_hypotheses import LIMITS
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.straps import Strap, strap_in_place_of
 from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.diagnosis.transmission.measured import (
-    Measured,
-    measured_transmissions,
-    upon,
-    with_ties,
-)
+from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions, upon, with_ties
 from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
@@ -118,7 +101,7 @@ class Stopped(KeyboardInterrupt):
 
 
 @contextmanager
-def _kept(found: Callable[[], Found]) -> Iterator[None]:
+def kept(found: Callable[[], Found]) -> Iterator[None]:
     """After Ctrl-C, fall back to what was found before the current attempt."""
     try:
         yield
@@ -126,60 +109,7 @@ def _kept(found: Callable[[], Found]) -> Iterator[None]:
         raise Stopped(found()) from None
 
 
-def find(
-    signals: Sequence[Sequence[Signals]], parts: Parts, given: Model, jobs: int, tell: Progress
-) -> Found:
-    """The findings; where something pushes, those in the rest of the recordings (``signals``: to
-    fit to, to choose by, to test on).
-
-    Raises
-    ------
-    Stopped
-        After Ctrl-C, where something was found by then.
-    """
-    found = _once(parts, given, jobs, tell)
-    with _kept(lambda: found):
-        return _without_pushes(found, signals, given, jobs, tell)
-
-
-def _without_pushes(
-    found: Found, signals: Sequence[Sequence[Signals]], given: Model, jobs: int, tell: Progress
-) -> Found:
-    """The findings; where something pushes, those in the rest of the recordings."""
-    pushes = _pushes(found.decisions)
-    if not pushes:
-        return _loaded(found, given, jobs)
-    # pieces of a slow recording alone say too little of the noise that all have
-    alike = of_one_sensor(signals)
-    fit, choose, test = (cut_out(part, pushes) for part in alike)
-    if not fit or not (choose or test):  # a calibration bent by a push lacks something everywhere
-        largest = _pushes(found.decisions, largest=True)
-        fit, choose, test = (cut_out(part, largest) for part in alike)
-    # pushes beside a missing friction are certain once the friction is known without them
-    alone = [d if d.kind == Verdict.DISTURBANCE else unpushed(d) for d in found.decisions]
-    if not (choose or test):
-        return _loaded(replace(found, decisions=alone), given, jobs)
-    untouched = prepare(test or choose, given, 64.0)
-    chosen = untouched
-    if choose and test and signals[1] is not signals[2]:
-        chosen = prepare(choose, given, 64.0)
-    calibrated = found.whole.calibrated
-    if fit:
-        tell(Step.ASSEMBLING.says("once more, without what was pushed"))
-        rest = Parts(prepare(fit, given, 64.0), chosen, untouched)
-        beside = _beside_pushes(found, _once(rest, given, jobs, tell))
-        if not _misled(beside, calibrated, untouched):
-            return beside
-    found = replace(found, decisions=alone)
-    if not _misled(found, calibrated, untouched):
-        return _loaded(found, given, jobs)
-    # something permanent was taken for a push
-    decisions = [unpushed(d) for d in found.decisions]
-    whole = assemble(found.parts, found.beneath, decisions, jobs)
-    return replace(found, decisions=decisions, whole=replace(whole, calibrated=calibrated))
-
-
-def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Found:
+def find_once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Found:
     """The findings: bodies first, then measured transmissions, then every joint; repeated where one
     changes what the others have to explain, and without bodies that make untouched recordings
     worse.
@@ -188,7 +118,7 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
     parts = with_links(measured_motion, given, divided(given))
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
     found = _beneath(bodies, measured_motion, parts, given, jobs, tell)
-    with _kept(lambda: found):
+    with kept(lambda: found):
         return _settled_once(found, measured_motion, parts, given, jobs, tell)
 
 
@@ -287,7 +217,7 @@ def _beneath(
         explained = explain(parts, given, beneath, jobs, tell)
     except SearchStopped as stop:
         raise Stopped(known_of(stop.done)) from None
-    with _kept(lambda: known_by(explained)):
+    with kept(lambda: known_by(explained)):
         linked, again = with_their_links(
             measured_motion, bare, given, beneath, explained, jobs, tell
         )
@@ -432,54 +362,3 @@ def _calibrated_beside(fit: Data, given: Model, improved: Model, jobs: int) -> M
     free = replace(improved, mechanism=mechanism)
     bases = [calibrate_joint(fit, free, joint, jobs) for joint in range(1, given.joints + 1)]
     return calibrated_machine(fit, free, bases, jobs)
-
-
-def _loaded(found: Found, given: Model, jobs: int) -> Found:
-    """The findings with the load that only the held-out recordings have."""
-    (first, *_), whole = found.decisions, found.whole
-    other = other_load(found.parts, given, first, jobs) if first.loads else None
-    if other is None:
-        return found
-    mechanism = other.decision.final.model.mechanism
-    whole = replace(whole, improved=replace(whole.improved, mechanism=mechanism))
-    return replace(found, load=other.finding, decisions=[other.decision], whole=whole)
-
-
-def _misled(found: Found, calibrated: Model, rest: Data) -> bool:
-    """Whether a pushed joint is predicted worse outside the pushes, by more than the sensor's error
-    (``rest``: of the untouched recordings).
-    """
-    for d in found.decisions:
-        if d.bursts is not None:
-            with_it, without = (
-                rms(window_error(rest, m, d.joint)) for m in (found.whole.improved, calibrated)
-            )
-            if beyond(with_it, without) > noise_floor(rest, d.joint):
-                return True
-    return False
-
-
-def _pushes(
-    decisions: Sequence[Decision], largest: bool = False
-) -> list[tuple[str, float, float]]:
-    """Recording, begin and end (s) of each push, or of the ``largest`` at each joint."""
-    each = [d.bursts.largest() if largest else d.bursts for d in decisions if d.bursts is not None]
-    return [
-        (name, *span)
-        for pushes in each
-        for name, span in zip(pushes.recordings, pushes.intervals, strict=True)
-    ]
-
-
-def _beside_pushes(pushed: Found, found: Found) -> Found:
-    """The findings without the pushes, and beside them the pushes in all recordings."""
-    every = (pushed.parts.fit, pushed.parts.held)
-    decisions = []
-    for first, again in zip(pushed.decisions, found.decisions, strict=True):
-        if first.bursts is not None:
-            kind = Verdict.DISTURBANCE if again.kind == Verdict.COMPLETE else again.kind
-            beside = everywhere(first.bursts, every, again.final.model, again.joint)
-            bursts = beside if beside.intervals else first.bursts
-            again = replace(again, kind=kind, bursts=bursts)
-        decisions.append(again)
-    return replace(found, decisions=decisions, parts=pushed.parts)

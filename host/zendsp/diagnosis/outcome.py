@@ -1,0 +1,92 @@
+"""The outcome of a diagnosis: its verdict, where and when something is missing, and the errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.result import Errors, Finding, FitTable, Left
+from zendsp.diagnosis.machine import Found
+from zendsp.diagnosis.measure.where import Missing, Region, Times, located
+from zendsp.diagnosis.measure.windows import model_error, noise_floor
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.model import Model
+
+
+def verdict_of(
+    findings: Sequence[Finding], decisions: Sequence[Decision], stopped: bool
+) -> Verdict:
+    """The verdict; ``stopped``: Ctrl-C ended the search, so that no model is called complete."""
+    if findings:
+        return Verdict.MISSING
+    complete = not stopped and {d.kind for d in decisions} == {Verdict.COMPLETE}
+    return Verdict.COMPLETE if complete else Verdict.UNEXPLAINED
+
+
+def doubted(
+    findings: Sequence[Finding], decisions: Sequence[Decision]
+) -> tuple[tuple[str, int], ...]:
+    """Effects that only the recordings of the fit show, where nothing else is left open."""
+    if findings or any(d.kind != Verdict.COMPLETE and not d.doubted for d in decisions):
+        return ()
+    return tuple(law for d in decisions for law in d.doubted)
+
+
+def left_at(decision: Decision) -> Left:
+    """The torque that is unexplained at a joint, at most all of it."""
+    after = decision.after
+    share, low, high = (min(1.0, x) for x in (after.value, after.low, after.high))
+    return Left(decision.joint, share, (low, high))
+
+
+def where_and_when(
+    lacking: Mapping[int, Sequence[Missing]],
+    found: Found,
+    findings: Sequence[Finding],
+    verdict: Verdict,
+) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
+    """The regions of the state, the times and their recordings in which torque is missing. Of
+    pushes only the times, also of those of a complete model.
+    """
+    if verdict == Verdict.COMPLETE:
+        pushes = [d.beside for d in found.decisions if d.beside is not None]
+    else:
+        pushes = [d.bursts for d in found.decisions if d.kind == Verdict.DISTURBANCE and d.bursts]
+    told = {d.joint for d in found.decisions if d.bursts in pushes}
+    elsewhere = {j: lacking[j] for j in _lacking(found, findings, verdict) - told}
+    places, times, at = located(elsewhere)
+    spans = tuple(span for push in pushes for span in push.intervals)
+    names = tuple(name for push in pushes for name in push.recordings)
+    return places, (*spans, *times), (*names, *at)
+
+
+def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set[int]:
+    """The joints at which something is missing; where a body is missing, all, as each may feel it.
+    """
+    if verdict == Verdict.COMPLETE:
+        return set()
+    if found.claims:
+        return {d.joint for d in found.decisions}
+    lacking = {d.joint for d in found.decisions if d.kind != Verdict.COMPLETE}
+    return lacking | {f.joint for f in findings}
+
+
+def errors_of(parts: Parts, models: tuple[Model, Model, Model]) -> list[Errors]:
+    """The errors of the given, calibrated and improved model, once for each unit of position."""
+    units: dict[str, tuple[int, ...]] = {}
+    for joint in range(1, models[0].joints + 1):
+        unit = models[0].position_unit(joint)
+        units[unit] = (*units.get(unit, ()), joint)
+
+    def table(data: Data, joints: tuple[int, ...]) -> FitTable:
+        return FitTable(*(model_error(data, m, joints) for m in models))
+
+    return [
+        Errors(
+            unit, joints, table(parts.fit, joints), table(parts.held, joints),
+            table(parts.test, joints), noise_floor(parts.test, *joints),
+        )
+        for unit, joints in units.items()
+    ]  # fmt: skip
