@@ -14,7 +14,7 @@ import pytest
 import reality
 from reality import KNOWN
 
-from zendsp.diagnosis import Diagnosis, diagnose, machine
+from zendsp.diagnosis import Diagnosis, diagnose, undisturbed
 from zendsp.diagnosis.decide import decide, other_load, pushes
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.naming import _disturbance, at_once
@@ -84,16 +84,16 @@ def test_where_cutting_out_all_pushes_leaves_too_little_only_the_largest_is_cut_
         whole = SimpleNamespace(calibrated=None)
         return SimpleNamespace(decisions=[decision], whole=whole)
 
-    monkeypatch.setattr(machine, "cut_out", cut_out)
-    monkeypatch.setattr(machine, "_once", once)
-    monkeypatch.setattr(machine, "of_one_sensor", lambda parts: alike.append(parts) or parts)
-    monkeypatch.setattr(machine, "prepare", lambda part, *_: part)
-    monkeypatch.setattr(machine, "_beside_pushes", lambda _, again: again)
-    monkeypatch.setattr(machine, "_misled", lambda *_: False)
+    monkeypatch.setattr(undisturbed, "cut_out", cut_out)
+    monkeypatch.setattr(undisturbed, "find_once", once)
+    monkeypatch.setattr(undisturbed, "of_one_sensor", lambda parts: alike.append(parts) or parts)
+    monkeypatch.setattr(undisturbed, "prepare", lambda part, *_: part)
+    monkeypatch.setattr(undisturbed, "_beside_pushes", lambda _, again: again)
+    monkeypatch.setattr(undisturbed, "_misled", lambda *_: False)
     signals: Any = (["fit"], ["choose"], ["test"])
-    machine.find(signals, "all", None, 1, lambda _: None)  # type: ignore[arg-type]
+    undisturbed.find(signals, "all", None, 1, lambda _: None)  # type: ignore[arg-type]
     assert asked[-1] == [("a", 2.0, 4.0)]
-    assert passes == ["all", machine.Parts(["fit"], ["choose"], ["test"])]  # type: ignore[arg-type]
+    assert passes == ["all", undisturbed.Parts(["fit"], ["choose"], ["test"])]  # type: ignore[arg-type]
     # whole recordings of one sensor: by the test recording alone, its counts were a torque of 5 %
     assert alike == [signals]
 
