@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide import believed, nameless, pieces
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, needed
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.result import Estimate
+from zendsp.diagnosis.decide.findings import Estimate
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure

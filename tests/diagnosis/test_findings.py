@@ -16,10 +16,9 @@ from made_claims import claim_of, of_one_claim
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
-from zendsp.diagnosis.decide.findings import estimates, sentence
+from zendsp.diagnosis.decide.findings import Estimate, estimates, sentence
 from zendsp.diagnosis.decide.naming import _same
 from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load, _late_log
-from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.decide.stated_numbers import (
     agreed_on,
     between,

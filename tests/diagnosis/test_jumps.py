@@ -19,8 +19,8 @@ from reality import FAST, KNOWN
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.decide.findings import Estimate
 from zendsp.diagnosis.decide.naming import _turned
-from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.decide.zeros import check_zeros
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data

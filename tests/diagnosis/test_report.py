@@ -24,8 +24,7 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.contract import Rejected, contradicted
-from zendsp.diagnosis.decide.findings import waves
-from zendsp.diagnosis.decide.result import Estimate, Finding
+from zendsp.diagnosis.decide.findings import Estimate, Finding, waves
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import Missing
 from zendsp.diagnosis.report import files

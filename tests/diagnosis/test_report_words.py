@@ -11,8 +11,9 @@ import pytest
 from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.decide import decide, findings
 from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted, dark, nearest
+from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.headline import percent, verdict_sentence, word_of
-from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
+from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report import files, html
 from zendsp.diagnosis.report.summary import _sized, unnamed

@@ -14,8 +14,8 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.confidence import SUREST
+from zendsp.diagnosis.decide.findings import Estimate, Finding
 from zendsp.diagnosis.decide.remember import remembered
-from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.claims import Claim

@@ -27,7 +27,7 @@ from zendsp.demo.runs import prepare_machine
 from zendsp.demo.stage import get_stage, nominal_model
 from zendsp.demo.story import Recorded, Told, _within_limits
 from zendsp.diagnosis import Diagnosis
-from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.measure.where import Missing
 from zendsp.errors import Refused
 from zendsp.experiment.separating import run_reference

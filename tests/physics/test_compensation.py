@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from benches import MODELS, STRICT, effect, every_effect, rotary, two_joints
 
-from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.report import files
 from zendsp.physics import compensation, load_model, simulate
 from zendsp.physics.codegen.terms import compensable

@@ -11,8 +11,8 @@ from zendsp.first_use import on_first_use
 # name -> module that holds it; imported on first use: who only reads a report needs no SciPy
 _LAZY = {
     "Diagnosis": "zendsp.diagnosis.decide.result",
-    "Estimate": "zendsp.diagnosis.decide.result",
-    "Finding": "zendsp.diagnosis.decide.result",
+    "Estimate": "zendsp.diagnosis.decide.findings",
+    "Finding": "zendsp.diagnosis.decide.findings",
     "FitTable": "zendsp.diagnosis.decide.result",
     "Next": "zendsp.diagnosis.decide.result",
     "Rejected": "zendsp.diagnosis.decide.contract",
@@ -21,9 +21,9 @@ _LAZY = {
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Rejected as Rejected
+    from zendsp.diagnosis.decide.findings import Estimate as Estimate
+    from zendsp.diagnosis.decide.findings import Finding as Finding
     from zendsp.diagnosis.decide.result import Diagnosis as Diagnosis
-    from zendsp.diagnosis.decide.result import Estimate as Estimate
-    from zendsp.diagnosis.decide.result import Finding as Finding
     from zendsp.diagnosis.decide.result import FitTable as FitTable
     from zendsp.diagnosis.decide.result import Next as Next
     from zendsp.diagnosis.engine import diagnose as diagnose

@@ -26,21 +26,14 @@ from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.detectable_push import detectable_pushes
+from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.propose import experiment_of, propose
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.remember import remembered
-from zendsp.diagnosis.decide.result import (
-    Detectable,
-    Diagnosis,
-    Estimate,
-    Finding,
-    Next,
-    Workings,
-    number,
-)
+from zendsp.diagnosis.decide.result import Detectable, Diagnosis, Next, Workings
 from zendsp.diagnosis.decide.thresholds import FINEST
 from zendsp.diagnosis.decide.zeros import check_zeros
 from zendsp.diagnosis.machine import Found, Stopped

@@ -22,7 +22,7 @@ from zendsp.diagnosis.decide.decide_bodies import (
     settled,
 )
 from zendsp.diagnosis.decide.fast_ripple import finding_of
-from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.thresholds import OWN_SHARE
 from zendsp.diagnosis.joints import (
     Done,

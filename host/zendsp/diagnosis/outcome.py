@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.result import Errors, Finding, FitTable, Left
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.result import Errors, FitTable, Left
 from zendsp.diagnosis.machine import Found
 from zendsp.diagnosis.measure.where import Missing, Region, Times, located
 from zendsp.diagnosis.measure.windows import model_error, noise_floor

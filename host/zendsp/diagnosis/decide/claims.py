@@ -170,3 +170,22 @@ def unclaimed(decision: Decision, why: str = WORSE) -> Decision:
         lost=(*decision.lost, *lost),
         near=near,
     )
+
+
+def not_likelier(gain: float, least: float) -> str:
+    """The reason that an effect is not claimed whose gain is below ``least``; both are
+    log-likelihoods less its price.
+
+    Examples
+    --------
+    >>> not_likelier(-3.0, 20.0)
+    'no more likely than the calibrated model'
+    >>> not_likelier(7.2, 20.0)
+    'hardly more likely than the calibrated model: log-likelihood +7, and +20 at least is asked for'
+    """
+    if gain <= 0.0:
+        return "no more likely than the calibrated model"
+    return (
+        f"hardly more likely than the calibrated model: log-likelihood {gain:+.0f}, and"
+        f" {least:+.0f} at least is asked for"
+    )

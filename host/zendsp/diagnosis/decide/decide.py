@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.believed import believed
-from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
+from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, not_likelier
 from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, Verdict, contradicted
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent
 from zendsp.diagnosis.decide.laws import named
@@ -46,7 +46,6 @@ from zendsp.diagnosis.decide.pushes import (
     pushed,
     pushed_beside,
 )
-from zendsp.diagnosis.decide.result import not_likelier
 from zendsp.diagnosis.decide.thresholds import (
     AMISS,
     BEYOND_SENSOR,

@@ -19,9 +19,8 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed
 from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import Further, Rejected, Verdict
-from zendsp.diagnosis.decide.findings import percent
+from zendsp.diagnosis.decide.findings import Estimate, Finding, number, percent
 from zendsp.diagnosis.decide.pieces import log_e_value
-from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR, OWN_SHARE, PLAIN, SURE
 from zendsp.diagnosis.measure.discrepancy import difference, mean_square
 from zendsp.diagnosis.measure.evidence import compare

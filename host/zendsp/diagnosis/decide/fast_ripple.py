@@ -16,8 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.decide.findings import estimates, sentence
-from zendsp.diagnosis.decide.result import Estimate, Finding
+from zendsp.diagnosis.decide.findings import Estimate, Finding, estimates, sentence
 from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.measure.discrepancy import difference, kept, lacking
 from zendsp.diagnosis.measure.evidence import compare

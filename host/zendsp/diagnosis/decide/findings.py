@@ -1,22 +1,26 @@
-"""From fitted models to findings: which terms are new, their numbers with units and uncertainty,
-and the sentence that explains them.
+"""A finding, and what it is made of: the new terms of a fitted model, their numbers with units and
+uncertainty, and the sentence that explains them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from zendsp.diagnosis.decide.result import Estimate, number
+from zendsp.diagnosis.decide.contract import EstimateReport, FindingReport, Further
+from zendsp.diagnosis.decide.headline import word_of
+from zendsp.diagnosis.decide.thresholds import STEEP
+from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR, counterpart, whole
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import chosen
+from zendsp_protocol.views import with_std
 
 # Uncertainty that does not shrink with longer recordings, added to the statistical one. Chosen,
 # with INTEGRATION_ERROR, on 183 parameters of realities by others, of whose 90 % intervals two
@@ -30,6 +34,94 @@ ALONG = 0.3
 # 76 numbers of C machines held the truth, with it 89 %, and 94 % of those 54
 UNLIKE = 0.01
 CLOCK = 0.1  # of the sample time: how well the instants of reading and of the command are known
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter: value, standard deviation, unit (SI)."""
+
+    value: float
+    std: float
+    unit: str
+
+
+def number(estimate: Estimate) -> str:
+    """Value ± standard deviation with unit, in significant digits."""
+    return with_std(estimate.value, estimate.std, estimate.unit)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One missing effect: where, how large, how sure, and what the recording cannot tell from it.
+
+    Attributes
+    ----------
+    effect : str
+        Name of the law (docs/effects.md); ``"unknown"`` where a mechanism acts without one.
+    joint : int
+        From 1.
+    parameters : dict of str to Estimate
+    confidence : float
+        0 … 1: probability that this is the right effect.
+    share : float
+        0 … 1: the torque that is missing without the law after all else is fitted again, as a part
+        of the torque that the calibrated model lacks; both as mean squares.
+    indistinguishable : tuple of str
+        Effects that explain the recording as well.
+    replaces : tuple of str
+        Terms of the given model that it replaces.
+    sentence : str
+    numbers : Further
+        Further keys of the finding in report.json.
+    mechanism : str
+    laws : mapping of str to float
+        Probabilities of the mechanism's laws.
+    """
+
+    effect: str
+    joint: int
+    parameters: dict[str, Estimate]
+    confidence: float
+    share: float
+    indistinguishable: tuple[str, ...]
+    replaces: tuple[str, ...]
+    sentence: str
+    numbers: Further = field(default_factory=Further)
+    mechanism: str = ""
+    # of the mechanism's laws: probabilities, given that it acts
+    laws: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def word(self) -> str:
+        """The mechanism in plain words: both frictions where it is not surely one of them."""
+        unsure = self.effect == "unknown" and self.confidence <= STEEP
+        mechanism = "friction" if unsure and self.mechanism == DRY else self.mechanism
+        return word_of(mechanism, (self.effect, *self.indistinguishable))
+
+    def __repr__(self) -> str:
+        return (
+            f"<Finding {self.effect}, joint {self.joint} ({100 * self.confidence:.0f} %):"
+            f" {self.sentence}>"
+        )
+
+    def as_dict(self) -> FindingReport:
+        """For the report."""
+        numbers: dict[str, EstimateReport] = {
+            n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in self.parameters.items()
+        }
+        return {
+            "effect": self.effect,
+            "joint": self.joint,
+            "parameters": numbers,
+            "confidence": round(self.confidence, 4),
+            "share": round(self.share, 4),
+            "indistinguishable": list(self.indistinguishable),
+            "replaces": list(self.replaces),
+            "mechanism": self.mechanism,
+            "laws": {n: round(p, 4) for n, p in self.laws.items()},
+            "sentence": self.sentence,
+            **self.numbers,
+        }
 
 
 def new_terms(given: Model, final: Model, joint: int) -> list[Term]:

@@ -15,17 +15,20 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.contract import WORDS, Further, Rejected, listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
-from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence, waves
+from zendsp.diagnosis.decide.findings import (
+    Estimate,
+    Finding,
+    estimates,
+    new_terms,
+    number,
+    percent,
+    sentence,
+    waves,
+)
 from zendsp.diagnosis.decide.patchwork import draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
-from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.stated_numbers import agreed_on, is_no_law, numbers_of
-from zendsp.diagnosis.decide.thresholds import (
-    PLAIN,
-    PREDICTED,
-    STEEP,
-    TOLERANCE,
-)
+from zendsp.diagnosis.decide.thresholds import PLAIN, PREDICTED, STEEP, TOLERANCE
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.where import Missing, mismatch, units

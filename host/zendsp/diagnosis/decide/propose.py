@@ -18,7 +18,8 @@ from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.across import PLACE
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict, dark, listed
-from zendsp.diagnosis.decide.result import Finding, Next
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.result import Next
 from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.physics.calibration.fit import Data, fit, joint_handles

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.rivals import replaced
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Discrepancy, Model, Term

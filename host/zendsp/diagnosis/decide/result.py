@@ -14,10 +14,7 @@ from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import (
     ErrorReport,
-    EstimateReport,
-    FindingReport,
     FitReport,
-    Further,
     Rejected,
     Report,
     Verdict,
@@ -27,129 +24,21 @@ from zendsp.diagnosis.decide.contract import (
     nearest,
     two_digits,
 )
-from zendsp.diagnosis.decide.headline import verdict_sentence, word_of
-from zendsp.diagnosis.decide.thresholds import STEEP
-from zendsp.diagnosis.measure.curve import DRY
+from zendsp.diagnosis.decide.findings import Finding, number
+from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
-from zendsp_protocol.views import html_table, sentence, with_std
+from zendsp_protocol.views import html_table, sentence
 
 Array = npt.NDArray[np.float64]
 OFF = 3.0  # times the calibrated model's error: above it the given model is wrong
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A parameter: value, standard deviation, unit (SI)."""
-
-    value: float
-    std: float
-    unit: str
-
-
-def number(estimate: Estimate) -> str:
-    """Value ± standard deviation with unit, in significant digits."""
-    return with_std(estimate.value, estimate.std, estimate.unit)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One missing effect: where, how large, how sure, and what the recording cannot tell from it.
-
-    Attributes
-    ----------
-    effect : str
-        Name of the law (docs/effects.md); ``"unknown"`` where a mechanism acts without one.
-    joint : int
-        From 1.
-    parameters : dict of str to Estimate
-    confidence : float
-        0 … 1: probability that this is the right effect.
-    share : float
-        0 … 1: the torque that is missing without the law after all else is fitted again, as a part
-        of the torque that the calibrated model lacks; both as mean squares.
-    indistinguishable : tuple of str
-        Effects that explain the recording as well.
-    replaces : tuple of str
-        Terms of the given model that it replaces.
-    sentence : str
-    numbers : Further
-        Further keys of the finding in report.json.
-    mechanism : str
-    laws : mapping of str to float
-        Probabilities of the mechanism's laws.
-    """
-
-    effect: str
-    joint: int
-    parameters: dict[str, Estimate]
-    confidence: float
-    share: float
-    indistinguishable: tuple[str, ...]
-    replaces: tuple[str, ...]
-    sentence: str
-    numbers: Further = field(default_factory=Further)
-    mechanism: str = ""
-    # of the mechanism's laws: probabilities, given that it acts
-    laws: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def word(self) -> str:
-        """The mechanism in plain words: both frictions where it is not surely one of them."""
-        unsure = self.effect == "unknown" and self.confidence <= STEEP
-        mechanism = "friction" if unsure and self.mechanism == DRY else self.mechanism
-        return word_of(mechanism, (self.effect, *self.indistinguishable))
-
-    def __repr__(self) -> str:
-        return (
-            f"<Finding {self.effect}, joint {self.joint} ({100 * self.confidence:.0f} %):"
-            f" {self.sentence}>"
-        )
-
-    def as_dict(self) -> FindingReport:
-        """For the report."""
-        numbers: dict[str, EstimateReport] = {
-            n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in self.parameters.items()
-        }
-        return {
-            "effect": self.effect,
-            "joint": self.joint,
-            "parameters": numbers,
-            "confidence": round(self.confidence, 4),
-            "share": round(self.share, 4),
-            "indistinguishable": list(self.indistinguishable),
-            "replaces": list(self.replaces),
-            "mechanism": self.mechanism,
-            "laws": {n: round(p, 4) for n, p in self.laws.items()},
-            "sentence": self.sentence,
-            **self.numbers,
-        }
-
-
 def _rounded(value: float) -> float:
     """The number with four digits, more than any of these figures is sure of."""
     return float(f"{value:.4g}")
-
-
-def not_likelier(gain: float, least: float) -> str:
-    """The reason that an effect is not claimed whose gain is below ``least``; both are
-    log-likelihoods less its price.
-
-    Examples
-    --------
-    >>> not_likelier(-3.0, 20.0)
-    'no more likely than the calibrated model'
-    >>> not_likelier(7.2, 20.0)
-    'hardly more likely than the calibrated model: log-likelihood +7, and +20 at least is asked for'
-    """
-    if gain <= 0.0:
-        return "no more likely than the calibrated model"
-    return (
-        f"hardly more likely than the calibrated model: log-likelihood {gain:+.0f}, and"
-        f" {least:+.0f} at least is asked for"
-    )
 
 
 @dataclass(frozen=True)

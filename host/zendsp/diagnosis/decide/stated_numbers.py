@@ -9,9 +9,8 @@ from statistics import NormalDist
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.findings import UNLIKE, estimates
+from zendsp.diagnosis.decide.findings import UNLIKE, Estimate, estimates
 from zendsp.diagnosis.decide.patchwork import both_needed
-from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.decide.thresholds import (
     CLAIMED,
     LEFT_BY_A_LAW,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.decide.findings import estimates, new_terms, sentence
-from zendsp.diagnosis.decide.result import Finding, not_likelier
+from zendsp.diagnosis.decide.claims import not_likelier
+from zendsp.diagnosis.decide.findings import Finding, estimates, new_terms, sentence
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
 from zendsp.diagnosis.external.nearby import Near, settled
 from zendsp.diagnosis.external.output_error import (

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 from zendsp.diagnosis.decide.contract import Verdict, listed
 from zendsp.diagnosis.decide.decide_bodies import like_bodies
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.result import Diagnosis, FitTable
 from zendsp.diagnosis.decide.thresholds import OF_STATE
 from zendsp.physics.model import Model
 

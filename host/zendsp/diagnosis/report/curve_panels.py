@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.decide.result import Diagnosis, Finding
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.measure.curve import Curve, Samples
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
 from zendsp.diagnosis.report.sides import torque_label, units_at

@@ -11,18 +11,13 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, SimulatorErrors, Workings
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.result import Diagnosis, SimulatorErrors, Workings
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import VARIABLES, energy, shares
 from zendsp.diagnosis.measure.windows import WINDOW, window_error
 from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
-from zendsp.diagnosis.report.laws import (
-    axis_of,
-    drawn,
-    law_chart,
-    unclaimed_chart,
-    unknown_chart,
-)
+from zendsp.diagnosis.report.laws import axis_of, drawn, law_chart, unclaimed_chart, unknown_chart
 from zendsp.diagnosis.report.sides import Sides, sides, torque_label, units_at
 from zendsp.diagnosis.report.torsion import torsion_chart
 from zendsp.diagnosis.transmission.findings import measured

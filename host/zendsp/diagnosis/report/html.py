@@ -9,7 +9,8 @@ from pathlib import Path
 
 from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.decide.contract import Verdict, dark, spans
-from zendsp.diagnosis.decide.result import Diagnosis, Errors, Finding, number
+from zendsp.diagnosis.decide.findings import Finding, number
+from zendsp.diagnosis.decide.result import Diagnosis, Errors
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import SMALLER, before, hidden, unasked, unnamed
 

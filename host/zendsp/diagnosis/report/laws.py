@@ -12,24 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.decide.fast_ripple import RIPPLE_BAND
+from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.pieces import beside_unknown
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, Workings
-from zendsp.diagnosis.measure.curve import (
-    BINS,
-    Axis,
-    Curve,
-    binned,
-    curve_over,
-)
+from zendsp.diagnosis.decide.result import Diagnosis, Workings
+from zendsp.diagnosis.measure.curve import BINS, Axis, Curve, binned, curve_over
 from zendsp.diagnosis.measure.discrepancy import band_of
 from zendsp.diagnosis.measure.where import AROUND, VARIABLES, Missing, mismatch
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
-from zendsp.diagnosis.report.curve_panels import (
-    common_limits,
-    curve_panel,
-    law_name,
-    two_panels,
-)
+from zendsp.diagnosis.report.curve_panels import common_limits, curve_panel, law_name, two_panels
 from zendsp.diagnosis.report.sides import (
     Sides,
     as_given,

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zendsp.diagnosis.decide.assemble import Assembled
-from zendsp.diagnosis.decide.result import Diagnosis, Finding
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.measure.discrepancy import BANDS
 from zendsp.diagnosis.measure.where import Missing, mismatch
 from zendsp.diagnosis.transmission.findings import measured

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, Workings
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.result import Diagnosis, Workings
 from zendsp.diagnosis.measure.curve import Axis, Curve, Samples, binned
 from zendsp.diagnosis.measure.discrepancy import ENERGY_BLOCK
 from zendsp.diagnosis.report.chart import Chart

@@ -11,8 +11,7 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import DetailsReport
-from zendsp.diagnosis.decide.findings import sentence
-from zendsp.diagnosis.decide.result import Estimate, Finding, number
+from zendsp.diagnosis.decide.findings import Estimate, Finding, number, sentence
 from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import calibrate_joint

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.result import Detectable, Finding
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.transmission.claims import Claim, claims_of, least_compliance
 from zendsp.diagnosis.transmission.findings import (
     findings_of,

@@ -15,7 +15,7 @@ import numpy as np
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.contract import DetailsReport
-from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.measure.curve import FLUID, FRICTION
 from zendsp.diagnosis.transmission.findings import measured
