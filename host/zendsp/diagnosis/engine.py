@@ -340,7 +340,8 @@ def _ready(
     notes on them.
     """
     tell(Step.READING.says("reading the recordings"))
-    fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
+    fit_signals, held, notes = read_divided(recordings, heldout, given)
+    choose_signals, test_signals, how = halves(held)
     tell(Step.READING.says("smoothing the motion"))
     read = (fit_signals, choose_signals, test_signals)
     fit, choose, test = (prepare(part, given, 64.0) for part in of_one_sensor(read))
@@ -350,8 +351,7 @@ def _ready(
     if given.called is None:
         check_motion(everything, given, names)
         check_zeros(everything, given)
-    notes += check_excitation(fit)
-    return read, parts, notes
+    return read, parts, [*notes, *how, *check_excitation(fit)]
 
 
 def _name(
@@ -385,12 +385,3 @@ def _sources(given: Source | Sequence[Source] | None) -> list[Source]:
     if given is None:
         return []
     return [given] if isinstance(given, str | Path | Recording | Table) else list(given)
-
-
-def _read(
-    recordings: Sequence[Source], heldout: Sequence[Source], model: Model
-) -> tuple[list[Signals], list[Signals], list[Signals], list[str]]:
-    """Recordings to fit to, to choose by and to test on, and notes on what was done to them."""
-    signals, held, notes = read_divided(recordings, heldout, model)
-    choose, test, how = halves(held)
-    return signals, choose, test, [*notes, *how]

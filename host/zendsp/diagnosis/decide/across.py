@@ -72,14 +72,12 @@ def across_joints(decisions: Sequence[Decision], strap: Strap | None = None) -> 
     several = claimed > 0 and claimed + sum(_is_pulled(d) for d in decisions) > 1
     beside = _of_state(decisions) / A_PART
 
-    def section(c: Claim, d: Decision) -> bool:
+    def placed(c: Claim, d: Decision) -> Claim:
         one = several or d.joint in pulled
-        return _may_be_one(c) and (one or (_pulls(c) and c.size * d.scale < beside))
+        section = _may_be_one(c) and (one or (_pulls(c) and c.size * d.scale < beside))
+        return replace(without_law(c, d), mechanism=PLACE) if section else c
 
-    out = [
-        replace(d, claims=tuple(_section(c, d) if section(c, d) else c for c in d.claims))
-        for d in decisions
-    ]
+    out = [replace(d, claims=tuple(placed(c, d) for c in d.claims)) for d in decisions]
     return out if strap is None else _as_one(out, strap)
 
 
@@ -164,10 +162,6 @@ def _pulls(claim: Claim) -> bool:
 
 def _may_be_one(claim: Claim) -> bool:
     return claim.effect != "unknown" and (_pulls(claim) or claim.is_constant)
-
-
-def _section(claim: Claim, decision: Decision) -> Claim:
-    return replace(without_law(claim, decision), mechanism=PLACE)
 
 
 def pushed_alone(decisions: Sequence[Decision]) -> list[Decision]:

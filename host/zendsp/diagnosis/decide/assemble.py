@@ -41,7 +41,6 @@ class Assembled:
     fits: dict[int, Fit]
     agreed: dict[int, Fit]
     data: Data
-    shared: bool
 
 
 def shared_mechanism(model: Model) -> bool:
@@ -229,7 +228,6 @@ def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int
             certain,
             agreed,
             data,
-            False,
         )
     everything = tuple(range(1, given.joints + 1))
     calibrated = calibrated_machine(train, given, [s.base for s in searches], jobs)
@@ -240,7 +238,7 @@ def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int
     if any(s.claims for s in searches):
         wider = with_disagreement(data, held, whole, everything, jobs)
     fits, agreed = (dict.fromkeys(everything, f) for f in (whole, wider))
-    return Assembled(calibrated, _noted(whole.model, {1: wider}), fits, agreed, data, True)
+    return Assembled(calibrated, _noted(whole.model, {1: wider}), fits, agreed, data)
 
 
 def _certain(data: Data, fitted: Fit, joints: Sequence[int]) -> Fit:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -215,7 +214,6 @@ class Diagnosis:
     test: FitTable | None = None  # on recordings that neither the fit nor any choice has touched
     # of a simulator that can only be called: its errors
     workings: Workings | SimulatorErrors | None = None
-    out: Path | None = None
     stopped: bool = False  # Ctrl-C ended the search; this is what was found until then
     # effects and joints about which the headline cannot tell
     doubted: tuple[tuple[str, int], ...] = ()

@@ -5,7 +5,7 @@ time, without the law and with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -237,17 +237,9 @@ def drawn(lacks: Sequence[Missing]) -> list[Array]:
     return [np.where(m.std < most, m.torque, np.nan) for m in lacks]
 
 
-def _period(finding: Finding) -> float:
+def _period(law: Finding | Term) -> float:
     """The period of a law along the position, rad or m; 0 where it has none."""
-    return _repeats({name: e.value for name, e in finding.parameters.items()})
-
-
-def _period_of(term: Term) -> float:
-    """The period of a term along the position, rad or m; 0 where it has none."""
-    return _repeats({name: q.value for name, q in term.parameters.items()})
-
-
-def _repeats(numbers: Mapping[str, float]) -> float:
+    numbers = {name: number.value for name, number in law.parameters.items()}
     if "order" in numbers:
         return 2 * np.pi / max(numbers["order"], 1e-300)
     return numbers.get("period", 0.0)
@@ -278,7 +270,7 @@ def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
     joint, whole = finding.joint, w.whole
     named = {f.effect for f in d.findings if f.joint == joint}
     beside = beside_unknown(whole.calibrated, whole.improved, joint, finding.mechanism, named)
-    periods = [_period_of(t) for t in whole.improved.at(joint) if t not in beside.at(joint)]
+    periods = [_period(t) for t in whole.improved.at(joint) if t not in beside.at(joint)]
     lacks = mismatch(w.train, beside, joint)
     if any(periods):  # waves may pass faster than a slow observer can follow
         band, lacks, _ = clearest(w.train, Sides(beside, whole.improved, "", ""), joint)

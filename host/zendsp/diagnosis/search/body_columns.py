@@ -155,7 +155,7 @@ def _columns(
     """Responses of the columns that are not 0, and the innovations; which of all columns these are,
     (columns + 1,); and the samples at which the joint moves.
     """
-    bandwidth = min(limits.bandwidth, fastest_of(record))
+    bandwidth = min(limits.bandwidth, 0.5 / record.sample_time)  # as fast as samples allow
     q, qd, qdd = record.motion.states
     speed, j = record.scale.speed, record.joint - 1
     links = record.links
@@ -196,11 +196,6 @@ def _frictions(
     fall = [dry * np.exp(-((qd / (part * record.scale.speed)) ** 2)) for part in FALLS]
     load = np.abs(inertia * qdd + bias) * dry if by_load else np.zeros_like(dry)
     return [qd, dry, np.tanh(qd / slow / 8), qd * np.abs(qd), *fall, load]
-
-
-def fastest_of(record: JointRecord) -> float:
-    """The fastest observer that a record's sample time allows, rad/s."""
-    return 0.5 / record.sample_time
 
 
 def _shared(
