@@ -1,9 +1,9 @@
-"""Columns of an arm that do not belong to the joints of the model: two joints exchanged, as where a
-driver lists them by the alphabet, one that counts the other way or from another zero, commands
+"""Columns of an arm that do not belong to the joints of the model: two joints exchanged (a driver
+may list them by the alphabet); a joint that counts the other way or from another zero; commands
 without the gravity that the drives add.
 
-The torque that the model as given leaves, beside friction, is compared before and after each of
-these mistakes is undone. A wrong body leaves much too, but none of them explains it.
+Each mistake is undone, and the torque that the given model leaves beside friction is compared
+before and after. A wrong body leaves much torque too, but none of the mistakes explains it.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ Array = npt.NDArray[np.float64]
 # of the torque's energy, as the mean over the joints: a mistake leaves 0.08 to 3.4 of it, an arm in
 # order 0.001 to 0.005
 AMISS_BY = 0.03
-# of that energy, or of the torque's where that is less: what the mistake, undone, leaves at most.
-# Mistakes left 0.001 to 0.04 of it; in 70 arms with wrong bodies the next to one left 0.84
+# of that energy, or of the torque's where that is less: most that is left once the mistake is
+# undone. Mistakes left 0.001 to 0.04 of it; in 70 arms with wrong bodies the nearest to a mistake
+# left 0.84
 UNDONE = 0.1
 AS_WELL = 1.01  # times what another mistake leaves, undone
-COMPARED = 200  # rows of a recording, or a few more: these parts of the energy are no fine ones
+COMPARED = 200  # rows of a recording, or a few more: enough for these parts of the energy
 
 
 def check_order(where: str, records: Sequence[JointRecord], model: Model) -> None:

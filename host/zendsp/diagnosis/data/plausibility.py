@@ -130,7 +130,7 @@ def check_driven(
     # a part in which joints hardly move says nothing about a gain that another part confirms
     others = [_agreeing(_looked(part, model).found) for part in beside]
     shown = any(others)
-    # of joints without gravity, degrees are one factor too
+    # without gravity, degrees too are one common factor of all joints
     degrees = all(UNIT_TOLERANCE < abs(x) * DEGREE < 1.0 / UNIT_TOLERANCE for x in slopes)
     if not shown and not degrees and not is_tool(here.slow, model, here.body):
         scaled(whole, slopes, command_unit(model, 0))

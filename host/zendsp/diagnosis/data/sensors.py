@@ -29,9 +29,10 @@ SCALED = 0.05  # of its slope: a velocity further from the position's has anothe
 FOLLOWS = 0.01  # of its RMS below 25 Hz: a current this near to the command follows it
 EXACT = 1e-6  # of its size: a current this near to a multiple of the command is computed
 TIMED = 0.5  # of a difference in RMS: less remains of one in time alone; decides only a wording
-# a reading that stays while the joint moves on, or is none: its end is a larger step between the
-# two sensors than so many usual ones (their 98th percentile), and takes back most of what had come
-# between them; a load that is jerked goes on. A sensor that loses more of its rows is not used
+# a reading is lost where it stays while the joint moves on, or is none. It ends in a step between
+# the two sensors that is larger than so many usual ones (their 98th percentile), and that takes
+# back most of the difference; a load that is jerked goes on. A sensor that loses more of its rows
+# than this is not used
 DROPPED, USUAL, TAKEN_BACK, LOST = 8.0, 0.98, 0.5, 0.01
 AVERAGED = 0.02  # s, of the mean that removes noise and sampling from a comparison
 

@@ -36,14 +36,14 @@ FAR = 3.0  # standard deviations
 FAR_TOGETHER, NEAR = 3.44, 2.0
 WEIGHT_ALONE = 2.0  # times FAR, of a weight that moves without its inertia
 ONE_GAIN = 0.5  # of the inertia's change: numbers that move within it may be one torque gain
-GAINED = 0.9  # stated of one gain for three numbers and more; not learned: the cases have too few
+GAINED = 0.9  # confidence of one gain for three numbers and more; not learned: too few cases
 INSISTS = 100.0  # deviance on the recordings of the fit that the given value costs at least
 PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviations over blocks
 BOTH = ("inertia", "gravity")
 # the number of each of two effects that are the same to first order
 TIMES = {"lag": "time_constant", "delay": "time"}
-# of a given time: it is hardly better known. A delay beside a lag moved it by 140 to 2040 %; none
-# of 50 complete machines (seed 401) has such a finding
+# of a given time, which is hardly better known than this. A delay beside a lag moved it by 140 to
+# 2040 %; none of 50 complete machines (seed 401) has such a finding
 LATER = 0.5
 G = 9.81  # m/s²
 
@@ -277,8 +277,8 @@ def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
 def _later(
     given: Model, decision: Decision, whole: Assembled, test: Data
 ) -> list[tuple[float, float, Finding]]:
-    """A lag or delay of the given model that is wrong, as such a number. A delay that lacks beside
-    a given lag is taken up by it, and the other way round.
+    """A wrong lag or delay of the given model, as a number that calibration moved. A given lag
+    takes up a delay that is missing beside it, and the other way round.
     """
     joint, out = decision.joint, []
     for effect, key in TIMES.items():
@@ -316,7 +316,9 @@ def _later(
 def _rotor(
     given: Model, decision: Decision, whole: Assembled, test: Data
 ) -> list[tuple[float, float, Finding]]:
-    """The rotor inertia that a model states beside the bodies of its file, as such a number."""
+    """The rotor inertia that a model states beside the bodies of its file, as a number that
+    calibration moved.
+    """
     joint = decision.joint
     both = [
         [t for t in m.at(joint) if t.effect == "inertia"]

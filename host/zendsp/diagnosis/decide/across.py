@@ -92,8 +92,9 @@ def may_be_strapped(decisions: Sequence[Decision]) -> bool:
 
 
 def _as_one(decisions: Sequence[Decision], strap: Strap) -> list[Decision]:
-    """The decisions, with the torque over position that the joints of a strap lack claimed once.
-    What pushes them, or the next joint, which its potential may lack, is the strap.
+    """The decisions, with the strap's torque over position claimed once, where it is largest.
+    Pushes of its joints, and of the joints next to them, which its potential may leave out, are the
+    strap's too.
     """
     reach = {joint + by for joint in strap.joints for by in (-1, 0, 1)}
     decisions = [
@@ -125,8 +126,8 @@ def _as_one(decisions: Sequence[Decision], strap: Strap) -> list[Decision]:
 
 
 def _over_place(d: Decision) -> Claim:
-    """What a joint lacks over the position, as a claim without a law; where it claims none, what
-    any function of its state predicts.
+    """The torque over position that a joint lacks, as a claim without a law; where it claims none,
+    the torque that any function of its state predicts.
     """
     own = (c for c in d.claims if c.effect == "unknown" and _pulls(c))
     term, seen = Term("unknown", d.joint, {}), Evidence(0.0, d.state.z, np.zeros(1))
@@ -275,7 +276,7 @@ def all_late(
 
 
 def _comes_late(term: Term) -> bool:
-    """Whether a term is a delay of the joint; the term may also be no law."""
+    """Whether a term is a delay of the joint. A term that is no law of the library is none."""
     effect = library().get(term.effect)
     if effect is None:
         return False
@@ -364,8 +365,8 @@ def _alike(names: Collection[str]) -> set[str]:
 
 
 def _either(decision: Decision, claim: Claim, others: Collection[str]) -> Decision:
-    """The decision, with the laws indistinguishable from its claim where several joints are equally
-    late.
+    """The decision, its claim with all laws that cannot be told from it where several joints are
+    equally late.
     """
     one = replace(claim, same=tuple(dict.fromkeys((*claim.same, *sorted(others)))))
     return replace(decision, claims=tuple(one if c is claim else c for c in decision.claims))

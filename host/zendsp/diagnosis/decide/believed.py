@@ -1,4 +1,4 @@
-"""Which of the named laws are believed: each is asked again beside the others alone,
+"""Which of the named laws are believed: each is judged again beside the other named laws alone,
 without the terms that are not stated.
 """
 
@@ -89,7 +89,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
             more.append(replace(claim, why=why))
             doubted.add(claim.mechanism)
     keep, parts_of_it = without_its_parts(keep, decision.after.value)
-    # beside a law of the one friction, what lacks of the other has its own name
+    # beside a law of dry or fluid friction, a missing part of the other kind keeps its own name
     rubbing = {c.mechanism for c in keep if c.effect != "unknown"} & set(FRICTION)
     keep = [c if rubbing else by_its_variables(c, decision, parts, given) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
@@ -256,9 +256,9 @@ def _hid(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> bool:
 
 
 def _goes_on(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> float | None:
-    """The standard deviations by which a law predicts better than its neighbours. None where that
-    is less sure than a law has to be; for one that every machine has, or a constant, where a
-    neighbour surely predicts better.
+    """The standard deviations by which a law predicts better than its neighbours. None where a
+    neighbour surely predicts better; and where they are too few for a law to be named, except a
+    constant or a law that every machine has.
     """
     effect = get_effect(claim.effect)
     if claim.mechanism not in STRUCTURED:

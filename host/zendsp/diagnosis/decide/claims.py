@@ -38,7 +38,7 @@ class Piece:
     size: float  # RMS torque that no other term can replace, as a part of the RMS torque
     evidence: Evidence
     log_e: float  # logarithm of the e-value
-    lacks: bool = True  # its torque lacks without it
+    lacks: bool = True  # its torque is missing without it
     # dry or fluid friction where the given model has none: every machine has both, so the
     # hypothesis was there before the data, and competes with no other for the false alarms
     expected: bool = False

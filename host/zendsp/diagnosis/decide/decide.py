@@ -94,7 +94,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     out = _decided(parts, given, search, jobs, tell)
     if out.kind == Verdict.COMPLETE and (doubted := contradicted(out.lost)):
         lacks = discrepancy(parts.fit, search.base.model, search.joint)
-        # or it is likelier as correlated noise is, and not for a torque that lacks there alone
+        # otherwise it is likelier as correlated noise is, not for a torque that only those lack
         if lacks.high > SIMULATORS_DIFFER and lacks.low > out.before.high:
             out = replace(out, kind=Verdict.UNEXPLAINED, doubted=doubted)
     turning = not rubs(search.base.model, search.joint)
@@ -105,8 +105,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     # missing friction and pushes hide each other
     elif out.kind == Verdict.UNEXPLAINED and not out.loads:
         models = [r.scored for r in search.tried if get_effect(r.effect).common]
-        if parts.fit.joints == 1:  # of several, a wrong body is as likely, and no law of a joint
-            models += [r.scored for r in search.tried[:1]]  # which a push to choose by refuses
+        if parts.fit.joints == 1:  # of several joints, a wrong body is as likely as a law of one
+            models += [r.scored for r in search.tried[:1]]  # refused for a push to choose by
         models += [search.best] if search.best is not None else []
     else:
         return replace(out, beside=felt(out, parts, turning))
@@ -208,9 +208,9 @@ def _surely_shown(
 
 
 def _makes_better(decision: Decision, test: Data) -> bool:
-    """Whether a decision makes untouched recordings no worse. What makes them worse is never a
-    finding. Nor is what leaves more torque unexplained than before, or more than the whole torque
-    (a spring that holds a joint at its place).
+    """Whether a decision predicts untouched recordings no worse, and leaves no more torque
+    unexplained than before, nor more than the whole torque (as a spring that holds a joint at its
+    place). Only such a decision can be a finding.
     """
     models = (decision.base.model, decision.final.model)
     errors = [rms(window_error(test, m, decision.joint)) for m in models]
@@ -351,7 +351,7 @@ def _nothing_named(
 
 def _half_a_row(out: Decision, parts: Parts, jobs: int) -> bool:
     """Whether a shift of half a row between position and command removes most of the missing
-    torque, as a simulator of first order has it.
+    torque, as in a simulator of first order.
     """
     joint, model = out.joint, out.base.model
     for way in (0.5, -0.5):
@@ -368,8 +368,9 @@ def _half_a_row(out: Decision, parts: Parts, jobs: int) -> bool:
 
 
 def _contradicted(fit: Data, base: Scored, whole: Scored, joint: int) -> bool:
-    """Whether numbers fitted to all recordings surely make those of the fit lack more torque. Then
-    these do determine the numbers, and the recordings need different ones: something is missing.
+    """Whether the recordings of the fit surely lack more torque with numbers fitted to all
+    recordings. Then they determine these numbers, and the others need different ones: something is
+    missing.
     """
     own, others = (discrepancy(fit, s.model, joint) for s in (base, whole))
     return others.low > own.high and beyond(others.value, own.value) > LAWFUL

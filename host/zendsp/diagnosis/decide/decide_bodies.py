@@ -3,8 +3,8 @@ mechanisms of one joint.
 
 The search of the joints went on with the bodies in the model. Here each body is taken away and
 everything else at the joints that bear it is fitted again. The joints' evidence for the one body
-adds up. It is claimed where most of its torque acts at joints at which its loss is larger than what
-stays unexplained.
+adds up. A body is claimed where most of its torque acts at joints that miss more of it than stays
+unexplained there.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from zendsp.physics.effects import library
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
 
-# of a body's squared torque over all joints: so much must act where it exceeds what is left
+# of a body's squared torque over all joints: this part must act where it exceeds what is left
 LARGER_THAN_LEFT = 0.5
 MOSTLY = 0.5  # of the variance of a body's number: the torque gains make its uncertainty
 UNSTATED = "since [actuator] gain states no std"
@@ -226,8 +226,8 @@ def like_bodies() -> frozenset[str]:
 
 
 def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decision]:
-    """The decisions where no body is claimed. What a joint claims that resembles a body is the less
-    sure where a body explains all joints together as well as that does at one or at all of them.
+    """The decisions where no body is claimed. A joint's claim that resembles a body is less sure
+    where a body explains all joints together as well as this effect does.
     """
 
     def told(c: Claim, joint: int) -> Claim:
@@ -246,7 +246,7 @@ def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decisio
 
 
 def _shared(others: int) -> float:
-    """The part of its confidence that is left beside so many explanations that do as well."""
+    """The highest confidence of a claim beside so many ``others`` that explain as well."""
     return 0.5 + 0.5 / (1 + others)
 
 

@@ -69,12 +69,12 @@ ITERATIONS = 6  # of the fit without the implant
 ABSORBED = 3  # sizes that calibration absorbs whole, after which no larger one is tried
 IMPLANTS = 6  # of growing size, until one is seen
 AMPLE = 1.05  # margin over the size that an estimate or the last implant seems to need
-# times the last at most; and at least, where what it lacks is evidence. Torque and error in
-# windows grow as the size does (times 1.6 at most: within 5 % in 65 of 71), the gain of blocks may
-# not: made larger by no more than it lacked, it then lacked something in 172 of 199
+# times the last implant at most; and at least, where that lacks evidence. Torque and error in
+# windows grow with the size (times 1.6 at most: within 5 % in 65 of 71). The gain of blocks may
+# not: an implant made larger by just the factor that it lacked still lacked something in 172 of 199
 FARTHER, LARGER = 10.0, 1.5
-# times too small: what is left of an implant then is the rounding of a fit. One that an inertia
-# took up was 6111 times too small, the next size endlessly
+# times too small: what a fit leaves of such an implant is rounding. One that an inertia took up was
+# 6111 times too small, and at the next size infinitely
 NOTHING_LEFT = 100.0
 # of the best determined combination of calibrated numbers: one less determined absorbs nothing.
 # Chosen
@@ -269,8 +269,8 @@ class _Implant:
         self._finals: dict[tuple[object, ...], Fit] = {}
 
     def other(self, aliases: Sequence[str]) -> tuple[int, ...]:
-        """The places of terms that are an effect by another name, and would be the finding: those
-        of the given model are calibrated, and are none.
+        """The places of terms that are an effect by another name, and so would be the finding; not
+        those of the given model, which are calibrated.
         """
         had = {t.effect for t in self.given}
         return tuple(

@@ -1,8 +1,8 @@
 """The smallest push that these recordings would have shown at each joint.
 
-A disturbance is asked for where the torque that lacks is more than `LAWFUL`, and is one where most
-of that acts within it (`measure/bursts.py`). So a push of one second has to have that RMS torque
-over the longest part of the recordings, and to stand out of all else that is not explained there.
+A push is looked for where the missing torque exceeds `LAWFUL`. It is found where most of the
+missing torque acts within it (`measure/bursts.py`). So a push of one second needs that RMS torque
+over the longest part of the recordings, and has to stand out of all else that is unexplained there.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from zendsp.physics.model import Model
 
 A_PUSH = "disturbance"  # the mechanism, and its name
 LASTS = 1.0  # s, the push of which a size is stated
-# RMS torque that is found missing, of that of a push of one second in 6 or in 12, along which the
-# calibrated numbers follow it: 0.53 and 0.49
+# of a push's RMS torque: the part that is found missing, since the calibrated numbers follow the
+# push. Of one second in 6 and in 12: 0.53 and 0.49
 STAYS_MISSING = 0.5
 # RMS of a push over that of the rest, with which all but BURST_SHARE of the energy is the push's
 OUT_OF = math.sqrt((1.0 - BURST_SHARE) / BURST_SHARE)

@@ -25,9 +25,9 @@ from zendsp_protocol.views import with_std
 # Uncertainty that does not shrink with longer recordings, added to the statistical one. Chosen,
 # with INTEGRATION_ERROR, on 183 parameters of realities by others, of whose 90 % intervals two
 # thirds had held the truth (docs/diagnosis.md, uncertainty):
-# of the unexplained torque over the state: the part that may be along a law. What is random is in
-# the statistical uncertainty; counted here too, it made the intervals of 54 numbers of another
-# maker's machines 2.3 times too wide
+# of the unexplained torque over the state: the part that may be along a law. Random torque is in
+# the statistical uncertainty already; counted here too, it made the intervals of 54 numbers of
+# another maker's machines 2.3 times too wide
 ALONG = 0.3
 # of a law's torque: other unexplained torque that counts as such, since the equations of machine
 # and model differ (a friction that turns round otherwise). Without it 86 % of the 90 % intervals of

@@ -111,9 +111,10 @@ def _rises(given: Model, decision: Decision) -> bool:
 def told_apart(
     claim: Claim, decision: Decision, parts: Parts, given: Model, laws: Collection[str]
 ) -> bool:
-    """Whether no other mechanism's variables predict more of the missing torque beside the named
-    ``laws``; or not much more, where its own laws leave nothing over the state. A mechanism without
-    a law is known by its variables alone. (A constant is a function of any variable.)
+    """Whether this mechanism's variables predict the missing torque beside the named ``laws`` as
+    well as those of every other mechanism. Where its own laws leave nothing over the state, they
+    may predict a little less. A mechanism without a law is known by its variables alone. (A
+    constant is a function of any variable.)
     """
     if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
         return True

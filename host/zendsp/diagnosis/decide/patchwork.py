@@ -143,13 +143,14 @@ def _divides_a_turn(period: float, unsure: float) -> bool:
 
 
 def part_of_a_wave(term: Term, beside: int, travel: float, unsure: float = math.inf) -> bool:
-    """Whether a law that repeats along the position does not complete a period within the
-    ``travel``, where any curve is as good; unless its period, known to ``unsure`` (infinite where
-    no joint turns), is a whole part of a turn, as of what turns with the joint. A wave of one
-    period a turn is ambiguous too over less than a turn (rad), where ``beside`` other laws over the
-    position stand beside it; unless it is balanced at a multiple of a quarter turn, where an axis
-    has its zero. A sensor errs a whole number of times a turn: ``unsure`` of that number, any curve
-    of that length will do.
+    """Whether the ``travel`` shows less than a period of a law over the position, so that any curve
+    would do. ``unsure``: of its period or order; infinite where no joint turns.
+
+    A period that is a whole part of a turn is believed, as of something that turns with the joint.
+    A law of one period a turn is doubted over less than a turn (rad), where ``beside`` other laws
+    over the position stand beside it; unless it is balanced at a multiple of a quarter turn, where
+    an axis has its zero. A sensor errs a whole number of times a turn, so its wave is doubted where
+    it is ``unsure`` of that number.
     """
     names = get_effect(term.effect).names
     if "order" in names and get_effect(term.effect).site == "sensor":

@@ -93,8 +93,9 @@ def pushed_beside(
     """The pushes beside a missing friction, which hides them: those that explain most beside one of
     the ``models``; None where there are none.
 
-    Of a machine of several joints only those that the recordings of the fit lack: what the held-out
-    ones lack, or lack otherwise, may be a wrong body. A KUKA without its load was pushed.
+    Of a machine of several joints only pushes in the recordings of the fit count: a torque that the
+    held-out ones lack, or lack otherwise, may be a wrong body. A KUKA without its load had been
+    called pushed.
     """
     joint, best, alone = out.joint, None, parts.fit.joints == 1
     where = parts.each if alone else (parts.fit,)
@@ -120,9 +121,9 @@ def pushed_beside(
 def _with_numbers_of_the_held(
     models: Sequence[Scored], parts: Parts, joint: int, jobs: int
 ) -> list[Scored]:
-    """The models, and those among them that lack something in the recordings of the fit fitted to
-    the recordings to choose by, where this explains the test recordings better: a push in those of
-    the fit bends all numbers, and a bent model lacks something everywhere.
+    """The models, and more: each that lacks torque in the recordings of the fit is also fitted to
+    the recordings to choose by, and kept where this explains the test recordings better. A push in
+    the recordings of the fit bends all numbers, and a bent model lacks something everywhere.
     """
     each = list(models)
     for scored in models:

@@ -50,7 +50,8 @@ def remembered(
 
 def _stated(term: Term, findings: Sequence[Finding]) -> Term:
     """A term with the standard deviations of the finding for it. A number of a transmission that
-    two sensors know better than the fit to one is theirs, and held: fitted again, it would be lost.
+    two sensors tell better than a fit to one keeps their value and is held, since another fit would
+    lose it.
     """
     numbers, between = dict(term.parameters), get_effect(term.effect).family == "transmission"
     for f in findings:

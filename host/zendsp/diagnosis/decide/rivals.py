@@ -117,9 +117,9 @@ def law_of(
 def _late_alike(
     parts: Parts, given: Model, term: Term, rival: str, behind: float, gain: float
 ) -> bool:
-    """Whether a law and its rival make something late, explain nearly the same (``COLOURED``),
-    and positions lie beside the counts: their noise tells such laws apart more than the motion
-    does, then.
+    """Whether a law and its rival both make something late, explain nearly the same (``COLOURED``),
+    and positions lie beside the counts. The noise of such positions tells these laws apart more
+    than the motion does.
     """
     coloured = off_counts(parts.choose.records[0][term.joint - 1], given)
     late = {get_effect(term.effect).family, get_effect(rival).family} == {"timing"}

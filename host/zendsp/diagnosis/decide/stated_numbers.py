@@ -1,4 +1,4 @@
-"""The numbers with which a law is stated, and whether they say that it is none."""
+"""The numbers with which a law is stated, and whether they show that it is no law."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ def agreed_on(
 
 
 def one_number(effect: str, values: Mapping[str, Estimate]) -> float:
-    """The probability that the recordings agree on the characteristic number of a law. Known to a
-    third only, it means that they follow another curve.
+    """The probability that the recordings agree on the characteristic number of a law. Where the
+    number is known only to a third, they follow another curve.
     """
     size = next((values[key] for key in essence_of(effect) if key in values), None)
     if size is None:
@@ -135,8 +135,8 @@ def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
     """The law fitted without the refinements of its own mechanism, which may have absorbed a part
     of its numbers; laws that every machine has stay. None where there are no refinements, where the
     law needs them, or where they are couplings from the same joint. A refinement stays if the law
-    would leave too much without it. All stay where together they leave nothing; but not a lag that
-    is not needed beside a delay, for which the two stand in for one another.
+    would leave too much without it. All stay where together they leave nothing; except a lag that
+    is not needed beside a delay, since the two stand in for one another.
     """
     final, joint = decision.final, decision.joint
     nothing_left = decision.after.value < SIMULATORS_DIFFER

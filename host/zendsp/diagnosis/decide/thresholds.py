@@ -102,8 +102,8 @@ STATED_BESIDE = 0.7
 # than not. Between a third and a half seeds 801 and 1003 had four laws of their own and of foreign
 # torques, all wrong.
 STATED_ALONE = 0.5
-# Probability that a law has at most where it leaves too much in its own variables, and at least
-# where its recordings agree on its number only roughly.
+# Highest probability of a law that leaves too much in its own variables, and lowest of one on whose
+# number its recordings agree only roughly.
 UNLIKELY = 1 / 3
 
 # Relative standard deviation of a given inertia, mass or gravity; more where its std says so.

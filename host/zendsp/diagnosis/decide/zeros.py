@@ -21,7 +21,8 @@ ZERO_SURE = 6.0  # standard errors of the difference of two zeros: chosen, not m
 ROUGHLY = 2.0  # standard errors by a regression, from which the zeros are estimated by fits
 SAME_WEIGHT = 0.05  # of the weight: the largest difference of two recordings: chosen, not measured
 OTHER_ZERO = 8.0  # counts of the sensor: a smaller difference of two zeros is none
-# of the energy that one zero for both leaves: another of 0.7 rad left 2e-5 of it, of 0.05 rad 0.003
+# of the energy that one zero for both leaves: zeros of their own, 0.7 rad apart, left 2e-5 of it;
+# 0.05 rad apart, 0.003
 LEFT_BY_OWN = 0.1
 
 
@@ -37,7 +38,7 @@ class _Weight:
     error: float
 
     def apart(self, other: _Weight, sure: float) -> float:
-        """By how much another zero is surely away, rad; else 0."""
+        """The difference of two zeros where it is sure, rad; else 0."""
         angle = math.remainder(self.hangs - other.hangs, 2 * math.pi)
         return angle if abs(angle) > sure * math.hypot(self.error, other.error) else 0.0
 

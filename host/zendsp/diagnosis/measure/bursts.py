@@ -51,8 +51,8 @@ REVISITED, REVISITED_S = 0.3, 0.3
 STANDS_FAR = 10.0
 CHANCE = 1e-3  # probability that the largest spectral line of noise stands out as far
 NEIGHBOUR_LINES = 20  # neighbours on either side, whose median is the noise level
-# of the joint's way: a torque that acts while it covers more is of its motion. A push of 1 s in 9 s
-# has 0.05 to 0.3; chosen on two arms whose joints moved one after the other
+# of the joint's way: a torque that acts while the joint covers more belongs to its motion. A push
+# of 1 s in 9 s has 0.05 to 0.3; chosen on two arms whose joints moved one after the other
 OF_THE_WAY = 0.5
 # Part of the energy at reversals, and part of the reversals: above both, it is the joint's friction
 # at reversals. Soft friction came at 11 of 16 reversals and more, two pushes at 1 of 16 and 5 of
@@ -64,8 +64,8 @@ ONE_WAY = 0.5
 # probability that a joint starts to move within each of the pushes by chance: three starts against
 # a friction that grows with rest had 0.0003; chosen on this one case
 MOVED_OFF = 0.01
-# Times a model's dry friction: a joint is held by no more than that, and a model in which friction
-# has the wrong sign lacks twice of it.
+# Times a model's dry friction, which holds a joint by no more than itself. A model in which
+# friction has the wrong sign lacks twice as much.
 STICKS = 3.0
 # Part of the mean energy at reversals, and part of the time: a torque with this much energy in this
 # much of its time elsewhere does not come from reversals.
@@ -224,7 +224,9 @@ def _of_the_way(parts: Sequence[Acting], joint: int) -> float:
 
 
 def _scattered(share: float, part: float) -> bool:
-    """Whether too much of the energy, all but ``share``, lies outside a ``part`` of the time."""
+    """Whether too much of the energy lies outside a ``part`` of the time, which holds the
+    ``share``.
+    """
     normal = NormalDist()
     z = -normal.inv_cdf(0.5 * part)
     # of a random torque's energy, in its largest values over that part of the time
@@ -260,7 +262,7 @@ def _turns(acting: Acting, joint: int, often: float) -> bool:
 
 def _either_way(acting: Acting, joint: int) -> bool:
     """Whether most of a torque acts one way while the joint moves both ways, as no friction does.
-    What acts as it stands tells nothing.
+    A torque while the joint stands tells nothing.
     """
     alike = total = 0.0
     for high, lack, use, rec in zip(

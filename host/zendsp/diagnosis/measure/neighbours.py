@@ -60,8 +60,8 @@ TAKEN_UP = 0.1
 @dataclass(frozen=True)
 class _Law:
     """A law and the ways to bend it, one array for each recording: slopes (1 + numbers, n) of the
-    law, and logarithm of its size, place and speed (ways, n). The last two are laws themselves for
-    one that every machine has.
+    law, and logarithm of its size, place and speed (ways, n). Of a law that every machine has, the
+    last two bends are laws themselves.
     """
 
     data: Data
@@ -190,8 +190,8 @@ def _surely(law: _Law, each: Sequence[_Seen], way: int, error: float) -> bool:
 
 def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
     """The bend that a law needs in a way, estimated beside all numbers, and its standard deviation
-    over blocks of time. None where it takes up little of what the law leaves, which noise of the
-    motion does, or where it is another number of the model (a constant has no exponent).
+    over blocks of time. None where the bend takes up as little of what the law leaves as noise of
+    the motion does, or where it is another number of the model (a constant has no exponent).
     """
     rest, _ = _rest(seen.own, seen, seen.wanted)
     bent = [s[0] * ways[way] for s, ways in zip(law.slopes, law.ways, strict=True)]

@@ -32,8 +32,9 @@ def wanders(data: Data, model: Model, joint: int) -> Structure:
     level that changes with time. In each recording every other second is predicted from those
     between, and compared with a torque over time alone.
 
-    A law of a friction over time says that its level is the same in every recording. What it leaves
-    here follows something else that happened in each of them, as the friction's own heat.
+    A law of a friction over time says that its level is the same in every recording. The part that
+    such a law leaves here follows something that differed between the recordings, such as the
+    friction's own heat.
     """
     scale, best = mean_square(data, joint), Structure(0.0, 0.0, 0.0)
     for band in BANDS[:3]:

@@ -83,8 +83,8 @@ class BodySearch:
 
     ``model``: the given one with them. ``tried``: all explanations of the last round. ``aside``:
     joints set aside for a fault of their own. ``instead``: the body that explains as much as the
-    first of these faults, and that joint. ``small``: the best body, where it is too small a part of
-    what the joints leave to be proposed, or as uncertain as the gains of all drives. ``beside``:
+    first of these faults, and that joint. ``small``: the best body that is not proposed, being too
+    small a part of what the joints leave, or as uncertain as the gains of all drives. ``beside``:
     whether a body was seen at several joints before the first joint was set aside. ``strap``: a
     force between links, which predicts better than the body that came next.
     """
@@ -150,8 +150,8 @@ def find_bodies(
     search = _by_any_observer(searched, choose, layout, limits)
     if search.found or search.strap:
         return search
-    # dry friction by the load that the model knows stands in for much of a heavy payload: of 150 kg
-    # that an arm carried for 10 s nothing was found beside it
+    # dry friction that grows with the known load imitates much of a heavy payload: beside it,
+    # nothing was found of 150 kg that an arm carried for 10 s
     other = _by_any_observer(searched, choose, layout, replace(limits, by_load=False))
     return other if other.found or other.strap else search
 
@@ -159,11 +159,11 @@ def find_bodies(
 def _by_any_observer(
     searched: Callable[[BodyLimits], BodySearch], choose: Data, layout: Layout, limits: BodyLimits
 ) -> BodySearch:
-    """The search under fast observers, or under slower ones where fast ones see more of something
-    else.
+    """The proposals of fast observers; of slower ones where a fast observer sees more of another
+    fault than of a body.
     """
     first = search = searched(limits)
-    # behind coarse counts a drive's gain follows the command's noise too, a body only the motion
+    # behind coarse counts a drive's gain also explains the command's noise, a body only the motion
     while not (search.found or search.strap) and (
         search.beside or _drowned(choose, layout, search.tried, limits)
     ):
@@ -178,8 +178,8 @@ def _drowned(
     choose: Data, layout: Layout, tried: Sequence[Explained], limits: BodyLimits
 ) -> bool:
     """Whether a sizeable body surely predicts better than none, but is a small part of what fast
-    observers leave (a controller that reacts to encoder counts, stick-slip friction). Slower
-    observers see less of these and as much of the body.
+    observers leave unexplained (a controller that reacts to encoder counts, stick-slip friction).
+    Slower observers see less of such faults and as much of the body.
     """
     by_chance = 2.0 * float(np.log(len(tried) / limits.chance))
     return any(
@@ -201,7 +201,7 @@ def _searched(
     limits: BodyLimits,
     beside: Sequence[Term],
 ) -> BodySearch:
-    """``find_bodies`` under observers of one bandwidth."""
+    """The proposals of ``find_bodies``, under observers of one bandwidth."""
     links = fit.records[0][0].links
     assert links is not None
     begun, model = model, model.with_terms((*model.terms, *beside))
@@ -238,7 +238,7 @@ def _searched(
             break
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}, its numbers"))
         best = _with_numbers(fit, choose, layout, tried, limits, jobs, aside)
-        # a body on which recordings disagree is none, and hides real ones
+        # a body on which recordings disagree is not real, and hides real ones
         if weight_of(choose, layout, best) < limits.least:
             break
         if unsure(best, limits):
@@ -260,7 +260,7 @@ def _searched(
 def _explained(
     fit: Data, choose: Data, layout: Layout, limits: BodyLimits, jobs: int, tell: Progress
 ) -> tuple[list[Explained], frozenset[int], list[Explained]]:
-    """As ``_round``, of the recordings."""
+    """The explanations of the recordings, as ``_round`` gives them."""
     model = layout.model
     tell(
         Step.CALIBRATING.says(
@@ -273,7 +273,7 @@ def _explained(
     tell(Step.CALIBRATING.says("bodies: every hypothesis"))
     tried, aside, first = _round(to_fit, to_choose, layout, limits)
     if turns := {e.hypothesis.joint: float(e.values[0]) for e in tried if _is_zero(e, limits)}:
-        # as large as they are: the torque of another zero is no straight line
+        # at their estimated size, as the torque of another zero is not linear in its angle
         to_fit, to_choose = (Sums(x, model, limits, jobs, turns) for x in (fit, choose))
         return _round(to_fit, to_choose, layout, limits)
     return tried, aside, first
@@ -288,8 +288,8 @@ def _with_numbers(
     jobs: int,
     aside: frozenset[int],
 ) -> Explained:
-    """The best explanation with its numbers. Where none of them is known, as those of a light
-    payload of which only the first moment acts, fewer numbers of the link that explain as much.
+    """The best explanation with its numbers. Where the recordings determine none of them, fewer
+    numbers of the same link that explain as much: of a light payload only the first moment acts.
     """
     alike = [e for e in tried if tied(e, tried[0], limits)]
 
@@ -311,8 +311,8 @@ def _with_numbers(
 def _is_error_of(
     found: Sequence[FoundBody], tried: Sequence[Explained], limits: BodyLimits
 ) -> bool:
-    """Whether other numbers of a body that is found already explain what is left as well as a
-    further one does.
+    """Whether a body that is already found, with other numbers, explains the rest as well as a
+    further body does.
     """
     have = {f.explained.hypothesis.joint for f in found}
     return any(
@@ -392,9 +392,9 @@ def _round(
 def own_mass(
     best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
 ) -> Explained:
-    """A wrong mass of the link in place of a body at its centre of mass, within the uncertainty of
-    the place; a wrong centre of mass in place of both, where the mass may be right; a payload in
-    place of a link that is too heavy for an error of the file.
+    """The explanation in the fewest numbers of the link: a wrong mass, where the body lies at the
+    link's centre of mass within its uncertainty; a wrong centre of mass, where the mass may be
+    right; a payload, where the link would be too heavy for an error of the file.
     """
     h = best.hypothesis
     if h.effect == "body" and "mass" in h.free:

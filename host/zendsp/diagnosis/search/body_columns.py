@@ -34,8 +34,8 @@ from zendsp.physics.robots.rigid import SMALL
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-# of the RMS speed: the friction that falls with the speed (Stribeck 1902) has fallen by then. Each
-# is twice the one before, so that sums of them bend at any speed between
+# of the RMS speed, at which a friction that falls with the speed (Stribeck 1902) has fallen. Each
+# is twice the one before, so that their sums can bend at any speed between
 FALLS = (0.1, 0.2, 0.4)
 NUISANCE = 7 + len(FALLS)  # columns of each joint's own: constant, frictions, rotor
 
@@ -56,8 +56,8 @@ class Sums:
     """Gram matrices of all columns and the innovations, per joint and block; the innovations are
     the last column. ``turns``: for joints (from 1) roughly where another zero lies, rad; its torque
     is no straight line. ``more``: further torques of a joint, (columns, n). ``about``: the
-    hypotheses that are asked for, empty: any. Columns of other links and zeros stay 0: for one
-    payload two thirds of all, and those of zeros take the dynamics of the arm once a joint.
+    hypotheses that are asked for, empty: any. All other columns stay 0. For one payload that saves
+    two thirds of them, and the columns of zeros, each of which takes the dynamics of the arm.
     """
 
     def __init__(
@@ -236,8 +236,8 @@ def _shared(
 
 
 def by_zeros(links: Links, model: Model, at: Mapping[int, float]) -> Array:
-    """Torque at each joint for a zero of each that lies elsewhere, N m or N per rad,
-    (joints, joints, n). ``at``: for joints (from 1) where, rad; else next to the given one.
+    """Torque at each joint per shift of each joint's zero, N m or N per rad, (joints, joints, n).
+    ``at``: by joint (from 1) the shift, rad, over which the slope is taken; else a small one.
     """
     if model.kind != "planar2r":
         return links.zeros(at, body_terms(model))

@@ -31,7 +31,7 @@ class BodyLimits:
     tie: float = 2.5
     # the same for two sets of numbers of one link: too few numbers lead to faults of single joints
     same_link: float = 1.5
-    share: float = 0.03  # of the best gain: nearer ones are as good
+    share: float = 0.03  # of the best gain: an explanation that is nearer is as good
     # the same for a body against a common gain: payloads of 0.2 and 1.2 kg on a planar arm, seen by
     # their inertia alone, gained 4 and 5 % less than the gain
     blunt: float = 0.1
@@ -62,8 +62,8 @@ class BodyLimits:
     # many of that without it, or below this part of the mass
     blurred: float = 3.0
     of_mass: float = 0.01
-    # least part of what shows that inertia which no rotors make up for: two joints at right angles
-    # had 4e-6 to 1.5e-4, all other arms 0.1 and more
+    # least part of the evidence for that inertia which no rotors imitate: two joints at right
+    # angles had 4e-6 to 1.5e-4, all other arms 0.1 and more
     no_rotor: float = 3e-3
     settled: float = 1e-3  # deviance: a fit ends with a step that gains less
     damped: float = 1e6  # damping at which a fit gives up
@@ -84,7 +84,7 @@ COST = {
     "gravity": 3.0,
     "stiffness": 3.0,
     "unknown": 8.0,
-    "zero": 7.0,  # a body that predicts as well is said, and that it may be this
+    "zero": 7.0,  # a body that predicts as well is stated, as indistinguishable from this
 }
 TOOL = 2.0  # of a payload at the end of a chain
 # of causes that act on the whole machine: another gravity, one factor for all gains, and the
@@ -150,7 +150,7 @@ def zeros(joints: Sequence[int], model: Model) -> Hypothesis:
 
 
 def turned_joints(h: Hypothesis) -> list[int]:
-    """The joints (from 1) of which a hypothesis moves the zero: its first numbers."""
+    """The joints (from 1) whose zeros a hypothesis moves by its first numbers, in this order."""
     return [int(key.removeprefix("zero")) for key in h.free if key.startswith("zero")]
 
 
@@ -186,8 +186,8 @@ def felt(links: Links, link: int) -> tuple[str, ...]:
     return tuple(key for key, at in _HOLDS.items() if seen[list(at)].any())
 
 
-# rad: so small that a tilt out of the plane of an upright arm, which changes its torques by the
-# square of the angle only, changes them by less than UNTURNED of what a tilt in the plane does
+# rad, a small tilt. Out of the plane of an upright arm it changes the torques only by the square of
+# the angle: by less than UNTURNED of what the same tilt in the plane does
 TILT = 1e-3
 UNTURNED = 0.01
 

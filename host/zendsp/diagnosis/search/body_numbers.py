@@ -1,5 +1,5 @@
-"""The numbers of a body: estimated around themselves until they converge, how well they are known,
-and how much of the torque they are.
+"""The numbers of a body: estimated again around the last estimate until they converge; how well
+they are known; and how much of the torque they explain.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ def _standing(
     jobs: int,
     aside: Collection[int],
 ) -> tuple[Hypothesis, Array]:
-    """Numbers estimated again around themselves until they converge, with an inertia where that
-    shows.
+    """Numbers estimated again around the last estimate until they converge, with an inertia where
+    that shows.
     """
     h, values = first.hypothesis, first.values
     wider = (
@@ -180,15 +180,15 @@ def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
 
 
 def weightless(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
-    """Whether a body may as well have no mass. Its moment may be sure, and a law of the joint says
-    that in fewer numbers: a spring of a UR10 had been 50 ± 130 kg.
+    """Whether a body may as well have no mass. Its moment may be sure even so, but a law of the
+    joint states that in fewer numbers: a spring of a UR10 had been called 50 ± 130 kg.
     """
     e = explained
     return "mass" in e.hypothesis.free and bool(abs(e.values[0]) < limits.shown * e.std[0])
 
 
 def many(h: Hypothesis, limits: BodyLimits = LIMITS) -> Array:
-    """Standard deviations from which on one number of a body shows that there is one, (p,)."""
+    """Standard deviations beyond which a single number shows that there is a body, (p,)."""
     out = np.full(len(h.free), limits.shown)
     if "mass" in h.free:
         out[1:] = limits.sure

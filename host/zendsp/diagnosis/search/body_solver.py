@@ -129,8 +129,8 @@ class Solver:
         return over_joints(weighted, inner), over_joints(weighted, products[:, :-1])
 
     def _weight(self, left: Array) -> Array:
-        """The weight of each joint's squares, of which a fit leaves this much; a joint that stands
-        still says nothing.
+        """The weight of each joint's squares, from the sum that a fit leaves of them; 0 for a joint
+        that stands still.
         """
         told = left > 1e-12 * float(np.max(left, initial=0.0))
         return np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
@@ -211,7 +211,7 @@ class Solver:
         return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)))
 
     def own_share(self, h: Hypothesis, values: Array) -> float:
-        """The part of what the recordings say of a hypothesis's last number that remains beside the
+        """The part of the information on a hypothesis's last number that remains beside the
         nuisance of all joints.
         """
         x, jac = self._linear(h, values)

@@ -124,10 +124,10 @@ def simulated(
 ) -> list[list[Candidate]]:
     """Hypotheses that no column can screen, each with its start values; ``jobs`` threads.
 
-    A transmission also starts from the numbers of the ``given`` model: calibrated without it, these
-    absorb a good part of it. Beneath a weight that calibration had bent by 14 %, every start of the
-    true spring was worse than none; beneath the given one it was the best of all. A gap, whose
-    starts are costly, does so only where its inertia was bent.
+    A transmission also starts from the numbers of the ``given`` model, since those calibrated
+    without it absorb a good part of it. Beneath a weight that calibration had bent by 14 %, every
+    start of the true spring was worse than none; beneath the given one it was the best of all. A
+    gap, whose starts are costly, does so only where calibration bent the inertia.
     """
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
     present = {t.effect for t in model.at(joint)}

@@ -137,8 +137,8 @@ class Searcher:
         return all(creeping.deviance + paid < r.value - WAIT for r in self.rounds.round(base))
 
     def _goes_on(self, current: Scored, rivals: list[Rival]) -> bool:
-        """Whether one of the first hypotheses can be a step, or may wait: what is behind them is
-        not asked elsewhere. (A gap that is found again may change what holds.)
+        """Whether the searches behind the first hypotheses are worth trying: one of these can be a
+        step, or may wait for the next one. Beside a gap always, since each step moves it.
         """
         had, first = current.model.at(self.joint), rivals[:RUNNERS]
         return (
@@ -274,8 +274,8 @@ class Searcher:
         return found
 
     def _shows(self, base: Scored) -> bool:
-        """Whether white innovations hide an effect: under a slower observer some effect promises a
-        step. A small delay, such as a tenth of a row, may too.
+        """Whether white innovations hide an effect, such as a delay of a tenth of a row: the
+        screen's slower observer promises enough for a step.
         """
         n = self.rounds.n
         best = self.rounds.options(base)[:1]

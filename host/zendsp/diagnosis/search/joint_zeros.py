@@ -1,5 +1,5 @@
 """A joint of an arm that is not where its sensor says, as after homing elsewhere: all torques are
-those of an arm turned there.
+those of an arm that is turned at this joint.
 
 It is a hypothesis among those about bodies. Where no body predicts as well, the zero is a matter of
 calibration: it is estimated, and the diagnosis is made with it.

@@ -51,7 +51,7 @@ GLANCE = 4  # hypotheses of a round that is only looked at
 # deviance of a step that may wait for another, and of a gap whose narrow optimum is searched
 WORTH = 10 * WAIT
 # of the best gain: hypotheses with less are not reordered, and a transmission that promises less is
-# not fitted. A true one gained 1.4 to 10 times its promise, a gap up to 5 times
+# not fitted. A true transmission gained 1.4 to 10 times its promise, a gap up to 5 times
 REACH = 0.1
 # of the least gain that counts: an effect that promises less on all samples is not fitted. Effects
 # that counted gained up to 9.4 times their promise (a voltage limit), others up to 5.5 times
@@ -212,7 +212,7 @@ class Rounds:
                 quick += self._overlooked(current, options, [*listed, *idle], quick, each)
             quick.sort(key=lambda r: r.value)
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
-            # what is idle gains nothing, and costs its price: it would be likelier than that
+            # an idle hypothesis gains nothing and costs its price: the best has to be likelier
             least = current.deviance + min(map(self._price_of, idle), default=math.inf)
             finalists = [
                 r

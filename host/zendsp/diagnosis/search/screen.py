@@ -272,7 +272,7 @@ class Screen:
                 yield self._judge(effect, point, *found)
 
     def _directions(self, effect: Effect, point: dict[str, float]) -> list[dict[str, float]]:
-        """The values whose torques span all that the effect can be at a grid point."""
+        """The values whose torques span all torques that the effect can make at a grid point."""
         if _neutral_of(effect, point):
             s = facts(self.records[0])
             return [

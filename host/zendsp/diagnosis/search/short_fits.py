@@ -74,10 +74,10 @@ class ShortFits:
             look = first_look(data, result.model, self.joint)
             joints = (self.joint,)
             gain = deviance(look, begin.model, joints) - deviance(look, result.model, joints)
-            if gain < WAIT + paid:  # not even there
+            if gain < WAIT + paid:  # no gain even on the thinned recordings
                 return None
-        # worse than the model that it contains, or the fit to thinned recordings, only a part,
-        # gained more
+        # the fit is worse than the model that it contains, or gained more on thinned recordings
+        # than on all samples
         worse = screened_for and value > current.deviance + WAIT
         if worse and whole:
             candidate, result, value = self._from_starts(current, group, begin, False)
@@ -124,7 +124,7 @@ class ShortFits:
         look different, which may move numbers of dry friction far off.
         """
         best = result, value
-        # nor is a fit of any use that does not reach the model beneath it
+        # a fit that does not reach the model beneath it is of no use either
         goal = cost_of(current.data, self.joint, min(value, current.deviance))
         for terms in (result.model.terms[-len(candidate.terms) :], candidate.terms):
             model = with_candidate(current.model, replace(candidate, terms=terms))

@@ -31,9 +31,9 @@ from zendsp.physics.model import Model, Term
 # without a longer fit
 SIMPLER_COST = 0.1
 NO_WORSE = 10.0  # deviance that a simpler law may cost
-# Of what a law of what is late explains: by so much noise may tell it from another, where it is
-# coloured by what came after the counts. A true filter fell 0.017 behind a delay (seed 902, case
-# 84)
+# Part of what a law of timing explains: where a filter after the counts colours the noise, the
+# noise alone may tell it from another law by as much. A true filter fell 0.017 behind a delay (seed
+# 902, case 84)
 COLOURED = 0.03
 # share of the common gain of two laws that one in their place must have; a true spring of a
 # pendulum with a coarse encoder had 98 % (seed 144, case 28), and did better on untouched data
@@ -365,8 +365,8 @@ def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
 
 
 def upon(first: JointSearch, base: Scored, jobs: int, both: Scored | None = None) -> JointSearch:
-    """A search upon a base that has terms of another source by now: fitted again, unless ``both``
-    are given together, and without terms that are no longer needed.
+    """A search upon a base that has got terms from elsewhere: fitted again with them (``both``:
+    where that is already done), and without terms that are no longer needed.
     """
     joint, found = first.joint, first.final
     more = base.model.terms[len(first.base.model.terms) :]

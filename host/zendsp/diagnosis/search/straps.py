@@ -3,8 +3,8 @@
 It has a potential that depends on where the joints between its ends stand, and pulls at each of
 them with that potential's slope: one function for several joints. Here it is a polynomial of the
 positions of neighbouring joints. The weight of a body is such a potential too, with few numbers
-and an inertia that belongs to it. So where a free one predicts surely better, what is missing is no
-body.
+and an inertia that belongs to it. So where a free potential surely predicts better, no body is
+missing.
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ def strap_in_place_of(
     aside: Collection[int] = (),
     alone: bool = False,
 ) -> Strap | None:
-    """The force between links that predicts what the joints leave surely better than any of some
-    bodies does; None where none does.
+    """The force between links that surely predicts the torque that the joints leave better than
+    each of some bodies; None where there is no such force.
 
     Both are fitted to three quarters of all blocks and judged on the rest, four times. A polynomial
     says nothing beyond the positions that it was fitted to, and recordings differ in these.

@@ -253,8 +253,9 @@ class Links:
         return weight
 
     def zeros(self, at: Mapping[int, float], terms: Sequence[Term]) -> Array:
-        """Torque at each joint for a zero of each that lies elsewhere, N m or N per rad,
-        (joints, joints, n). ``at``: for joints (from 1) where, rad; else next to the given one.
+        """Torque at each joint per shift of each joint's zero, N m or N per rad, (joints, joints,
+        n). ``at``: by joint (from 1) the shift, rad, over which the slope is taken; else a small
+        one.
         """
         values = [(t.effect, t.joint, *((k, t.value(k)) for k in t.parameters)) for t in terms]
         key = (tuple(at.items()), tuple(values))
