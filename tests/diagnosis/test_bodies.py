@@ -233,7 +233,7 @@ def test_gravity_acts_on_the_load_of_an_elastic_joint_where_the_load_is(record,
 @pytest.mark.long("where only friction is missing nothing is found: without the joints' search")
 def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch,
     tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    from zendsp.diagnosis import machine
+    from zendsp.diagnosis.explain import machine
 
     def wrong(fit, choose, model, jobs, tell):  # type: ignore[no-untyped-def]
         carried = searched(record("payload", Arm(mass=1.5)))

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zendsp.diagnosis import joints, machine
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import Heard, borne
+from zendsp.diagnosis.explain import joints, machine
 from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.bodies import FoundBody, own_mass
 from zendsp.diagnosis.search.body_columns import NUISANCE

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zendsp.diagnosis import machine
 from zendsp.diagnosis.decide import decide_bodies, naming
 from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, beside_bodies
+from zendsp.diagnosis.explain import machine
 from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.bodies import FoundBody
 from zendsp.diagnosis.search.body_explain import Explained

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from made_claims import claim_of, of_one_claim
 
-from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import believed, nameless, pieces
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, needed
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Estimate
+from zendsp.diagnosis.explain import joints
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure

@@ -12,7 +12,7 @@ import reality
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
-from zendsp.diagnosis import joints
+from zendsp.diagnosis.explain import joints
 from zendsp.diagnosis.search import forward
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step

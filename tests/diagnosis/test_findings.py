@@ -13,7 +13,6 @@ import pytest
 import reality
 from made_claims import claim_of, of_one_claim
 
-from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.findings import Estimate, estimates, sentence
@@ -29,6 +28,7 @@ from zendsp.diagnosis.decide.stated_numbers import (
     runs_out,
 )
 from zendsp.diagnosis.engine import _ready
+from zendsp.diagnosis.explain import joints
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.calibration.fit import Fit

@@ -108,7 +108,7 @@ def test_a_process_that_searches_a_joint_ends_with_the_one_that_started_it() -> 
     """After a diagnosis was killed, two of its processes had gone on, one of them waiting for ever.
     """
     code = (
-        "import os, time; from zendsp.diagnosis import joints; parent = os.getpid()\n"
+        "import os, time; from zendsp.diagnosis.explain import joints; parent = os.getpid()\n"
         "if os.fork() == 0:\n"
         "    joints._inherit(parent, None, None, print); print(1, flush=True)\n"
         "time.sleep(60)"

@@ -12,11 +12,11 @@ import pytest
 from made_claims import claim_of, of_one_claim
 from small_models import COULOMB, VISCOUS, model_of
 
-from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import believed, laws, nameless, patchwork
 from zendsp.diagnosis.decide.claims import Decision, Piece, unclaimed
 from zendsp.diagnosis.decide.contract import Reason
 from zendsp.diagnosis.decide.remember import remembered
+from zendsp.diagnosis.explain import joints
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search import simplify
 from zendsp.physics.calibration.terms import make_term

@@ -11,9 +11,9 @@ import pytest
 from reality import RATE
 
 import zendsp
-from zendsp.diagnosis import joints, machine
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.explain import joints, machine
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, with_ties

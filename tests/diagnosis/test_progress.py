@@ -15,7 +15,8 @@ from reality import RATE
 
 from zendsp.cli import cli
 from zendsp.cli.steps import in_steps
-from zendsp.diagnosis import diagnose, joints
+from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.explain import joints
 from zendsp.diagnosis.progress import Progress, Step
 
 

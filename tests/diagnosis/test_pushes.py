@@ -14,10 +14,11 @@ import pytest
 import reality
 from reality import KNOWN
 
-from zendsp.diagnosis import Diagnosis, diagnose, undisturbed
+from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide, other_load, pushes
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.naming import _disturbance, at_once
+from zendsp.diagnosis.explain import undisturbed
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from small_arms import Arm, prepared, recorded, searched
 
-from zendsp.diagnosis import machine
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.explain import machine
 from zendsp.diagnosis.report import summary
 from zendsp.diagnosis.search import bodies, body_numbers
 from zendsp.diagnosis.search.body_columns import NUISANCE, _frictions

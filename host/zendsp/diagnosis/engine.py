@@ -30,15 +30,16 @@ from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
+from zendsp.diagnosis.decide.outcome import doubted, errors_of, left_at, verdict_of, where_and_when
 from zendsp.diagnosis.decide.propose import experiment_of, propose
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Detectable, Diagnosis, Next, Workings
 from zendsp.diagnosis.decide.thresholds import FINEST
 from zendsp.diagnosis.decide.zeros import check_zeros
-from zendsp.diagnosis.machine import Found, Stopped
+from zendsp.diagnosis.explain.machine import Found, Stopped
+from zendsp.diagnosis.explain.undisturbed import find
 from zendsp.diagnosis.measure.discrepancy import beyond
-from zendsp.diagnosis.outcome import doubted, errors_of, left_at, verdict_of, where_and_when
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
@@ -46,7 +47,6 @@ from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
 from zendsp.diagnosis.transmission.torque_sensor import sided
-from zendsp.diagnosis.undisturbed import find
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
@@ -189,7 +189,7 @@ def _with_zeros_given(
     joints = range(1, given.joints + 1)
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
-    places, times, at = where_and_when(lacking, found, findings, verdict)
+    places, times, at = where_and_when(lacking, decisions, findings, verdict, bool(found.claims))
     decisions = looked.decisions
     alone = unseen(parts, found.bodies.model, decisions)
     notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]

@@ -24,7 +24,7 @@ from zendsp.diagnosis.decide.decide_bodies import (
 from zendsp.diagnosis.decide.fast_ripple import finding_of
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.thresholds import OWN_SHARE
-from zendsp.diagnosis.joints import (
+from zendsp.diagnosis.explain.joints import (
     Done,
     Explained,
     Outnumbered,

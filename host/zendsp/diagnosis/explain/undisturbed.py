@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.other_load import other_load
 from zendsp.diagnosis.decide.pushes import unpushed
-from zendsp.diagnosis.machine import Found, find_once, kept
+from zendsp.diagnosis.explain.machine import Found, find_once, kept
 from zendsp.diagnosis.measure.bursts import everywhere
 from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error

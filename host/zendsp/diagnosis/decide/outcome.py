@@ -9,7 +9,6 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.result import Errors, FitTable, Left
-from zendsp.diagnosis.machine import Found
 from zendsp.diagnosis.measure.where import Missing, Region, Times, located
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.physics.calibration.fit import Data
@@ -44,33 +43,36 @@ def left_at(decision: Decision) -> Left:
 
 def where_and_when(
     lacking: Mapping[int, Sequence[Missing]],
-    found: Found,
+    decisions: Sequence[Decision],
     findings: Sequence[Finding],
     verdict: Verdict,
+    bodies: bool,
 ) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
     """The regions of the state, the times and their recordings in which torque is missing. Of
-    pushes only the times, also of those of a complete model.
+    pushes only the times, also of those of a complete model. ``bodies``: some are claimed.
     """
     if verdict == Verdict.COMPLETE:
-        pushes = [d.beside for d in found.decisions if d.beside is not None]
+        pushes = [d.beside for d in decisions if d.beside is not None]
     else:
-        pushes = [d.bursts for d in found.decisions if d.kind == Verdict.DISTURBANCE and d.bursts]
-    told = {d.joint for d in found.decisions if d.bursts in pushes}
-    elsewhere = {j: lacking[j] for j in _lacking(found, findings, verdict) - told}
+        pushes = [d.bursts for d in decisions if d.kind == Verdict.DISTURBANCE and d.bursts]
+    told = {d.joint for d in decisions if d.bursts in pushes}
+    elsewhere = {j: lacking[j] for j in _lacking(decisions, findings, verdict, bodies) - told}
     places, times, at = located(elsewhere)
     spans = tuple(span for push in pushes for span in push.intervals)
     names = tuple(name for push in pushes for name in push.recordings)
     return places, (*spans, *times), (*names, *at)
 
 
-def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set[int]:
+def _lacking(
+    decisions: Sequence[Decision], findings: Sequence[Finding], verdict: Verdict, bodies: bool
+) -> set[int]:
     """The joints at which something is missing; where a body is missing, all, as each may feel it.
     """
     if verdict == Verdict.COMPLETE:
         return set()
-    if found.claims:
-        return {d.joint for d in found.decisions}
-    lacking = {d.joint for d in found.decisions if d.kind != Verdict.COMPLETE}
+    if bodies:
+        return {d.joint for d in decisions}
+    lacking = {d.joint for d in decisions if d.kind != Verdict.COMPLETE}
     return lacking | {f.joint for f in findings}
 
 
