@@ -69,8 +69,8 @@ def _links(slow: Slow, model: Model) -> Links | None:
 def _borne(
     slow: Slow, model: Model, body: tuple[Array, Array], links: Links, i: int, link: int
 ) -> tuple[Array, Array, Array]:
-    """For joint ``i`` (from 0): the inertia by each number of a link; columns of the numbers,
-    friction and a constant; and the missing torque.
+    """The regression of joint ``i`` (from 0): the inertia by each number of a link; columns of the
+    numbers, friction and a constant; and the missing torque.
     """
     if links.moves(i, link):
         felt, borne = links.columns(i, link)

@@ -135,8 +135,8 @@ def _plus(
 
 
 def _rigid_bodies(motions: Sequence[Slow], model: Model) -> Iterator[tuple[Array, Array]]:
-    """As ``rigid_body`` for each of some motions of as many rows, worked out together: of 81
-    mistakes of six joints, each had taken as long as 4000 rows do.
+    """The torques of ``rigid_body`` for each of some motions of as many rows, worked out together:
+    of 81 mistakes of six joints, each had taken as long as 4000 rows do.
     """
     q, qd, qdd = (
         np.concatenate([getattr(m, name) for m in motions], axis=1) for name in ("q", "qd", "qdd")
@@ -146,8 +146,8 @@ def _rigid_bodies(motions: Sequence[Slow], model: Model) -> Iterator[tuple[Array
 
 
 def _left(slow: Slow, body: tuple[Array, Array], weight: float = 1.0) -> float:
-    """What a rigid ``body`` leaves of the torques beside friction, as a part of their energy: the
-    mean over the joints.
+    """The part of the torques' energy that a rigid ``body`` leaves beside friction: the mean over
+    the joints.
     """
     rigid, gravity = body
     parts = []

@@ -66,7 +66,7 @@ def one_sensor(signals: Sequence[Signals]) -> list[Signals]:
 
 
 def of_one_sensor(parts: Sequence[Sequence[Signals]]) -> list[list[Signals]]:
-    """``one_sensor`` for the recordings of all parts together."""
+    """The recordings of all parts, as ``one_sensor`` gives them together."""
     each = iter(one_sensor([s for part in parts for s in part]))
     return [list(islice(each, len(part))) for part in parts]
 

@@ -149,8 +149,8 @@ class _Look:
         return None
 
     def _energy(self, place: _Place) -> float:
-        """What a place leaves in the innovations beside friction, constants and rotors, as a part
-        of what is there.
+        """The energy that a place leaves in the innovations beside friction, constants and rotors,
+        as a part of all that is there.
         """
         return float(np.sum(self.bare.counts * self._remains(place)))
 

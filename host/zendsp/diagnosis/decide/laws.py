@@ -226,8 +226,7 @@ class _Judge:
         )
 
     def _of_a_turn(self, first: Piece) -> float:
-        """How well the period (rad) or the order of a law is known; infinite where the joint
-        slides.
+        """The standard deviation of a law's period (rad) or order; infinite where the joint slides.
         """
         law = first.terms[0]
         key = "order" if "order" in get_effect(law.effect).names else "period"

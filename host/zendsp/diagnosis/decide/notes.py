@@ -96,7 +96,7 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _ahead(creep: Term) -> str:
-    """By how much a creeping friction turns before the joint does; empty where it does not."""
+    """A clause on how long before the joint a creeping friction turns; empty where it does not."""
     lead = 1e3 * creep.value("lead")
     return f" and {lead:.2g} ms before the joint does" if lead > AHEAD else ""
 

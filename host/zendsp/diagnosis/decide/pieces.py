@@ -219,8 +219,8 @@ def _has_kin(given: Model, model: Model, mechanism: str, terms: Sequence[Term]) 
 
 
 def _unseen(test: Data, model: Model, terms: Sequence[Term], joint: int) -> float:
-    """The ratio of the torque of some terms to that which the observer sees. Waves along the travel
-    may pass faster than it can follow. 1 where one of the terms is no such wave.
+    """The ratio of the torque of some terms to the torque that the observer sees. Waves along the
+    travel may pass faster than it can follow. 1 where one of the terms is no such wave.
     """
     effects = [get_effect(t.effect) for t in terms]
     if not all("order" in e.names and e.site == "torque" for e in effects):

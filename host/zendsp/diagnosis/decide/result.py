@@ -230,7 +230,7 @@ class Diagnosis:
 
     @property
     def units(self) -> str:
-        """Of all positions, as a `Reference` has it: "rad", "m", or "rad or m"."""
+        """The unit of all positions, as a `Reference` has it: "rad", "m", or "rad or m"."""
         return " or ".join(u for u in ("rad", "m") if any(e.unit == u for e in self.errors))
 
     @property

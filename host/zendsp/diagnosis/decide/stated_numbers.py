@@ -72,8 +72,8 @@ def numbers_of(
 def agreed_on(
     whole: Assembled, claim: Claim, joint: int, values: Mapping[str, Estimate]
 ) -> float:
-    """``one_number`` of a law at its shape. A weight whose angle is open shares its size with the
-    model's own, and the recordings agree on it all the same.
+    """The probability of ``one_number``, with the shape of the law held. A weight whose angle is
+    open shares its size with the model's own weight; the recordings may agree on it even so.
     """
     if get_effect(claim.effect).shape == "angle":
         fit, own = whole.agreed[joint], dict(values)

@@ -92,8 +92,8 @@ def quiet_energy(parts: Sequence[Lacking]) -> float:
 
 
 def acting_of(part: Lacking, joint: int, quiet: float, least: float | None = None) -> Acting:
-    """Where the energy of the missing torque is far above a median, and above ``least`` or, without
-    it, a part of its own peak.
+    """The samples at which the energy of the missing torque is far above a median, and above
+    ``least`` or, without it, a part of its own peak.
     """
     peak = max(float(level.max()) for level in part.levels)
     above = max(BURST * quiet, OF_PEAK * peak if least is None else least)

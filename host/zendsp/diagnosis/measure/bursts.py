@@ -41,7 +41,7 @@ Array = npt.NDArray[np.float64]
 
 SINE_BAND = 64.0  # rad/s, of the observer in which a sine is looked for
 BRIEF = 0.4  # of the time at most: a torque that acts longer is no disturbance
-# of the energy outside that time, against that of a normally distributed random torque there
+# of the energy that a normally distributed random torque would have outside that time: less is left
 BURST_SHARE = 0.4
 # least part of that time in states that the joint visits without it too, and the time that is
 # enough: ten memories of the observer. A push of 2 s had 0.23, so 0.46 s
@@ -326,7 +326,9 @@ def _driven(push: Bursts, each: Sequence[Data], joint: int) -> bool:
 def _away(
     found: Bursts, recording: str, t: Array, near: float = 0.0
 ) -> npt.NDArray[np.bool_]:
-    """Which times of a recording, s, are outside the found ones and more than ``near`` s away."""
+    """The mask of those times of a recording, s, that are more than ``near`` s away from the found
+    ones.
+    """
     out = np.ones(len(t), bool)
     for (a, b), name in zip(found.intervals, found.recordings, strict=True):
         out &= (name != recording) | (t < a - near) | (t > b + near)

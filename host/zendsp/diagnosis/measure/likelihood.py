@@ -76,14 +76,16 @@ def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:
 
 
 def deviances(data: Data, models: Sequence[Model], joint: int, jobs: int = 1) -> list[float]:
-    """``deviance`` of one joint for models that differ in numbers only; ``jobs`` threads."""
+    """The ``deviance`` of one joint for each of some models that differ in numbers only; ``jobs``
+    threads.
+    """
     with threads(jobs) as each:
         columns = np.ascontiguousarray(residuals(data, models, (joint,), each).T)
     return [deviance_of(data, joint, r) for r in columns]
 
 
 def deviance_of(data: Data, joint: int, r: Array) -> float:
-    """``deviance`` from the innovations of one joint."""
+    """The ``deviance`` from the innovations of one joint."""
     n = informative(data, joint)
     if ran_away(r):
         return float("inf")
@@ -103,7 +105,7 @@ def fastest(data: Data) -> float:
 
 
 def fitted_deviance(data: Data, fitted: Fit, joints: Sequence[int]) -> float:
-    """``deviance`` of a fit to these data, from its final innovations."""
+    """The ``deviance`` of a fit to these data, from its final innovations."""
     parts: dict[int, list[Array]] = {j: [] for j in joints}
     at = 0
     for rec in data.records:

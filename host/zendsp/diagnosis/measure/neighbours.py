@@ -159,7 +159,7 @@ class _Seen:
 def _seen(
     law: _Law, handles: Sequence[Handle], sizes: Array, band: float, turning: bool
 ) -> _Seen:
-    """What an observer of this bandwidth sees of a law."""
+    """A law as an observer of this bandwidth sees it."""
     own, lacks = (
         _as_seen(law, band, law.slopes), lacking(law.data, law.model, law.joint, band)
     )  # fmt: skip
@@ -208,9 +208,9 @@ def _bend(law: _Law, seen: _Seen, way: int) -> tuple[float, float]:
 
 
 def _ahead(law: _Law, seen: _Seen, error: float) -> tuple[float, bool]:
-    """How far a law is ahead of its neighbours for one observer, in standard deviations; and
-    whether that observer can tell them apart: what the law leaves has less energy than the law. A
-    neighbour may absorb some of what stays.
+    """The standard deviations by which a law predicts better than its neighbours, for one observer;
+    and whether that observer can tell them apart: what the law leaves has less energy than the law.
+    A neighbour may absorb some of what stays.
     """
     left = [r**2 for r in _rest(seen.own, seen, seen.wanted)[0]]
     worst = float("inf")

@@ -51,7 +51,9 @@ def wanders(data: Data, model: Model, joint: int) -> Structure:
 
 
 def _gain(record: JointRecord, model: Model, lack: Array, band: float) -> Array:
-    """By how much a friction over time predicts better than a torque over time, (n,)."""
+    """The gain of each sample when a friction over time predicts it, in place of a torque over
+    time, (n,).
+    """
     time = np.arange(record.n) * record.sample_time
     over = splines(time / max(time[-1], 1e-300), max(4, round(float(time[-1]) / PIECE)))
     _, v, _ = record.motion.states

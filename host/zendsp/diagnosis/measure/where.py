@@ -195,7 +195,7 @@ def shares(e: Array, counts: Array, bins: npt.NDArray[np.int_], count: int) -> A
 
 
 def regions(missing: Sequence[Missing], joint: int) -> list[Region]:
-    """For each variable the interval in which the mismatch of all recordings is most concentrated,
+    """The interval of each variable in which the mismatch of all recordings is most concentrated,
     the most concentrated first; none where it may be chance.
     """
     found = []

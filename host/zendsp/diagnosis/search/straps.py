@@ -58,7 +58,9 @@ class Potentials(Layout):
         self.width += len(self._powers)
 
     def place(self, h: Hypothesis, values: Array) -> Array:
-        """As of ``Layout``; a potential's numbers are coefficients of its own columns."""
+        """Coefficients of the columns, as of ``Layout``; a potential's numbers are those of its own
+        columns.
+        """
         if h.effect != "strap":
             return super().place(h, values)
         x = np.zeros((self.joints, self.width))
