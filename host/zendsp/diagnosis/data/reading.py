@@ -148,11 +148,10 @@ def _mended(
 
 
 def _as_noisy_as_read(s: Signals, rows: Array, left: float) -> Signals:
-    """A recording with at least the sensor noise of its ``rows`` (n, joints) before interpolation.
-    Interpolation reduced the variance at high frequencies, where it is seen, but not at those of
-    the motion. Where the rows show less noise than the interpolated values, which also show jitter
-    in fast motion, the noise is that of the rows, plus the rounding of interpolated values where
-    the joint moves by half a count.
+    """A recording with at least the sensor noise of its ``rows`` (n, joints) before interpolation,
+    which reduced the variance seen at high frequencies but not at those of the motion. Where the
+    rows themselves show less noise, theirs is used (in fast motion the interpolated ones show
+    jitter too), plus the rounding of interpolated values where the joint moves by half a count.
     """
     steps = s.resolution
 
