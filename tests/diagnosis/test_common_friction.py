@@ -236,3 +236,40 @@ def test_no_rejected_law_leaves_millions_of_per_cent(left: float, words: str) ->
     before, beside = (Size(x, 0.9 * x, 1.1 * x) for x in (0.31, left))
     lost = decision._lost("coulomb", 1, 100.0, [piece], before, beside)
     assert words in lost.why and "33 % of the torque" in lost.why
+
+
+@pytest.mark.parametrize(
+    ("effect", "has", "z", "stays"),
+    [
+        ("coulomb", False, -1.5, True),
+        ("coulomb", False, -2.5, False),
+        ("coulomb", True, -1.5, False),  # beside a dry friction of the given model
+        ("ripple", False, -1.5, False),  # not every machine has one
+    ],
+)
+def test_friction_that_every_machine_has_goes_only_where_it_surely_does_not_help(
+    effect: str, has: bool, z: float, stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a real arm's axis the few seconds to choose by were likelier without it (-1.5), those to
+    test on less likely (3.7).
+    """
+    terms = tuple(Term(name, 1, {}) for name in (effect, "coupling"))
+    final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: terms))
+    other: Any = SimpleNamespace(model=None)
+    for name, does in {
+        "new_terms": lambda _given, model, _joint: [] if model is None else list(terms),
+        "taken_away": lambda *_: None,
+        "informative": lambda *_: 1000,
+        "hopeless": lambda *_: None,
+        "has": lambda *_: has,
+        "compare": lambda without, *_: SimpleNamespace(gain=-9.0, z=z)
+        if without is other
+        else SimpleNamespace(gain=9.0, z=3.0),
+        "_without": lambda *of: other if of[3][0] is terms[0] else None,
+    }.items():
+        monkeypatch.setattr(pieces, name, does)
+    search: Any = SimpleNamespace(joint=1, final=final)
+    parts: Any = SimpleNamespace(choose=None)
+    given: Any = None
+    found: Any = pieces.worth_choosing(parts, given, search, 1)
+    assert found is (final if stays else other)

@@ -18,6 +18,7 @@ from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.model import Model, Term
 
 CREEP = {"kind": "creep", "joint": 1, "speed": 0.002}
@@ -147,6 +148,21 @@ def test_creep_is_fitted_round_and_straight_where_the_known_one_is_worse(
     best: Any = searcher.creeping(base, known)
     assert begun == [(0.0, False)] * (1 if likelier else 2) + [(1.0, True)] * (not likelier)
     assert best.began == begun[-1]
+
+
+@pytest.mark.parametrize("key", ["speed", "lead", "level", ""])
+def test_a_creep_larger_than_any_is_none(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ripple at an arm's last joint was a creep that saw the speed 0.1 s ahead."""
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    data = data_of(columns, base_model := model_of(VISCOUS, COULOMB))
+    base: Any = SimpleNamespace(data=data, model=base_model, deviance=0.0)
+    model = model_of(VISCOUS, COULOMB, CREEP)
+    handles = [Handle("term", 1, "level"), Handle("term", 2, "speed"), Handle("term", 2, "lead")]
+    fitted = SimpleNamespace(handles=handles, at_bound=[h.key == key for h in handles])
+    best: Any = SimpleNamespace(model=model, fit=fitted, deviance=-900.0)
+    monkeypatch.setattr(Searcher, "creeping", lambda *_: best)
+    found = Searcher(data, 1, lambda *_: True, 1, print).softened(base)
+    assert found is (None if key in ("speed", "lead") else best)
 
 
 def test_the_creep_of_a_found_friction_is_asked_before_the_decision(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +18,11 @@ from zendsp.diagnosis import engine
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
+from zendsp.diagnosis.search import joint_zeros
 from zendsp.diagnosis.search.bodies import find_bodies
+from zendsp.diagnosis.search.body_explain import Explained
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis, homed
+from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.diagnosis.search.joint_zeros import OtherZero
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
@@ -57,6 +64,44 @@ def test_the_last_links_centre_across_it_may_be_the_joints_zero(tmp_path: Path) 
     said = body_finding(claim, 1.0, load_model(tmp_path / "model.toml"))
     assert "another zero of joint 3" in said.sentence
     assert not [name for name in said.indistinguishable if "zero" in name], "effects alone"
+
+
+@pytest.mark.parametrize(("links", "felt"), [(small_arms.LINKS, [2, 3]), (small_arms.WRIST, [2])])
+def test_a_zero_that_no_joint_feels_is_none(
+    links: tuple[tuple[str, str, str, float, str, float], ...], felt: list[int], tmp_path: Path
+) -> None:
+    """That of an upright axis, or of one through the centre of all that it turns: rounding made
+    such joints of a real arm turn by 4e8 rad, and its recordings were refused.
+    """
+    arm = Arm(links=links, motors=(0.1, 0.1, 0.05))
+    fit, _ = small_arms.prepared(recorded(tmp_path, "arm", arm, seconds=2.0))
+    known = fit.records[0][0].links
+    assert known is not None and homed(known) == felt
+
+
+@pytest.mark.parametrize(("angle", "possible"), [(3.1, True), (-3.2, False)])
+def test_no_joint_is_more_than_half_a_turn_from_its_zero(angle: float, possible: bool) -> None:
+    solver: Any = SimpleNamespace(layout=SimpleNamespace(links=SimpleNamespace(bodies=())))
+    hypothesis = Hypothesis("zero", 2, "", ("zero2", "inertia"), 1.0)
+    assert Solver.plausible(solver, hypothesis, np.array([angle, 9.0])) is possible
+
+
+@pytest.mark.parametrize(("others", "told"), [([-9.0, 0.0], True), ([-33.0, 0.0], False)])
+def test_another_zero_makes_no_joint_less_likely(
+    others: list[float], told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A balancer's spring was a second axis 22 degrees from its zero, which made the fourth less
+    likely.
+    """
+    monkeypatch.setattr(joint_zeros, "weights_by", lambda *_: np.ones(4))
+    gains, share = np.array([351.0, 108.0, *others]), np.array([0.6, 0.2, 0.0, 0.0])
+    best = Explained(
+        Hypothesis("zero", 2, "", ("zero2",), 1.0), np.array([0.3]), np.array([0.03]), 400.0, 9.0,
+        0.0, gains, share,
+    )  # fmt: skip
+    nothing: Any = None
+    with pytest.raises(OtherZero) if told else nullcontext():
+        joint_zeros.check_zero(nothing, nothing, best, LIMITS)
 
 
 def test_zeros_that_do_not_settle_end_with_a_sentence(

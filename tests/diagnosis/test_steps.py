@@ -238,10 +238,15 @@ def test_a_search_goes_on_from_what_was_found_where_more_is_promised(
     assert searcher.further(found) == (("further", found.final, found) if goes_on else found)
 
 
-@pytest.mark.parametrize(("contradicted", "rounds"), [(True, 1), (False, 2)])
-def test_one_step_waits_for_a_second_unless_it_is_contradicted(
-    contradicted: bool, rounds: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("contradicted", "rounds"), [(("ripple", "gravity"), 1), ((), 2), (("gravity",), 2)]
+)
+def test_the_likeliest_step_that_is_not_contradicted_waits_for_a_second(
+    contradicted: tuple[str, ...], rounds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The balancer of a real arm was a gravity first, which the recordings to choose by
+    contradicted: a hysteresis waited, and friction and a spring were found.
+    """
     columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
     model = model_of(VISCOUS, COULOMB)
     data = data_of(columns, model)
@@ -254,12 +259,17 @@ def test_one_step_waits_for_a_second_unless_it_is_contradicted(
 
     def round_of(_: Rounds, current: Any) -> list[Rival]:
         asked.append(current.deviance)
-        return [Rival("ripple", 1, scored(), 0.0, model.terms[:1], ())]
+        laws = ("gravity", "ripple") if "gravity" in contradicted else ("ripple",)
+        return [Rival(law, 1, scored(), 0.0, model.terms[:1], ()) for law in laws]
+
+    def accept(_: Any, rival: Rival, waits: bool = False) -> bool:
+        return waits and rival.effect not in contradicted
 
     monkeypatch.setattr(forward, "is_white", lambda *_: False)
     monkeypatch.setattr(Rounds, "round", round_of)
     monkeypatch.setattr(Searcher, "_best_first", lambda _, __, rivals: rivals)
-    searcher = Searcher(data, 1, lambda *_, waits=False: waits and not contradicted, 1, print)
+    monkeypatch.setattr(forward, "_simplest_sufficient", lambda rivals, _: rivals)
+    searcher = Searcher(data, 1, accept, 1, print)
     assert searcher._chain(scored()).steps == [] and len(asked) == rounds
 
 

@@ -17,21 +17,26 @@ from zendsp.physics.model import Quantity, Term
 
 
 def split(
-    monkeypatch: pytest.MonkeyPatch, proposed: dict[str, dict[str, float]], lead: str
+    monkeypatch: pytest.MonkeyPatch,
+    proposed: dict[str, dict[str, float]],
+    *leads: str,
+    expected: tuple[str, ...] = (),
 ) -> tuple[str, list[str], list[str]]:
     """What stays of proposed models: of each, by the names of its effects, how sure untouched
-    recordings are of each effect. ``lead`` is claimed where it is sure.
+    recordings are of each effect. ``leads`` are claimed where they are sure; of ``expected`` ones
+    the given model has none.
     """
 
     def made(model: str, effect: str) -> Piece:
         found = piece(0.05, proposed[model][effect], proposed[model][effect], effect)
+        object.__setattr__(found, "expected", effect in expected)
         rest = "+".join(e for e in model.split("+") if e != effect)
         object.__setattr__(found, "without", SimpleNamespace(model=rest))
         return found
 
     def apart(*given: Any) -> tuple[list[Piece], list[Piece]]:
         each = given[-1]
-        claimed = [p for p in each if p.effects == (lead,) and p.evidence.z > 3.0]
+        claimed = [p for p in each if p.effects[0] in leads and p.evidence.z > 3.0]
         return claimed, [p for p in each if p not in claimed]
 
     def terms(_given: Any, model: str, _joint: int) -> list[str]:
@@ -74,6 +79,22 @@ def test_of_two_that_stand_in_for_one_another_one_stays(monkeypatch: pytest.Monk
     assert split(monkeypatch, proposed, "stiffness") == (
         "stiffness+delay", ["stiffness"], ["delay"]
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("expected", "stays"), [(("coulomb",), True), ((), False)])
+def test_a_refinement_stays_where_friction_that_every_machine_has_is_sure_only_beside_it(
+    expected: tuple[str, ...], stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So an axis of a real arm had no dry friction, beside the spring of its balancer."""
+    proposed = {
+        "stiffness+coulomb+viscous_asymmetry": {
+            "stiffness": 9.4, "coulomb": 9.0, "viscous_asymmetry": 1.0
+        },
+        "stiffness+coulomb": {"stiffness": 9.3, "coulomb": 0.0},
+    }
+    leads = ("stiffness", "coulomb")
+    model, claimed, _ = split(monkeypatch, proposed, *leads, expected=expected)
+    assert ("viscous_asymmetry" in model, "coulomb" in claimed) == (stays, stays)
 
 
 @pytest.mark.parametrize(

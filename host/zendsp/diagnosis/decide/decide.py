@@ -194,7 +194,7 @@ def _surely_shown(
         claimed, rest = held_apart(parts, given, search, final, pieces)
         # or they hold what every machine has
         held = last is not None and any(p.expected for p in last[1])
-        if last is not None and (not claimed or held and not any(p.expected for p in claimed)):
+        if last is not None and (not claimed or (held and not any(p.expected for p in claimed))):
             return last
         last = final, claimed, rest
         unsure = [

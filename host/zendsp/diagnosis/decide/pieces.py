@@ -151,7 +151,9 @@ def _law_of_another(term: Term) -> str:
 
 
 def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -> Scored:
-    """The proposed model without terms that do not help on the recordings to choose by."""
+    """The proposed model without terms that do not help on the recordings to choose by. Friction
+    that every machine has goes only where it surely does not.
+    """
     joint, final = search.joint, search.final
     sure_gain = SIMPLER_COST * informative(parts.choose, joint)
     while True:
@@ -160,8 +162,6 @@ def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -
             return final
         worst: tuple[float, Scored] | None = None
         for term in new:
-            if get_effect(term.effect).common and not has(given, mechanism_of(term.effect), joint):
-                continue  # every machine has it: untouched recordings say whether this one shows it
             if any(
                 term.effect in get_effect(t.effect).needs
                 for t in final.model.at(joint)
@@ -173,11 +173,20 @@ def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -
                 continue  # a long fit would not change this
             without = _without(given, final, joint, (term,), jobs)
             held = compare(without, final, parts.choose, joint)
-            if held.gain < 0 and (worst is None or held.gain < worst[0]):
+            if held.gain >= 0 or (held.z > -PLAIN and _expected(given, term)):
+                continue
+            if worst is None or held.gain < worst[0]:
                 worst = held.gain, without
         if worst is None:
             return final
         final = worst[1]
+
+
+def _expected(given: Model, term: Term) -> bool:
+    """Whether a term is friction that every machine has, and the given model has none of it."""
+    return get_effect(term.effect).common and not has(
+        given, mechanism_of(term.effect), term.joint
+    )
 
 
 def piece_of(
