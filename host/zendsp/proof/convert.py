@@ -61,7 +61,8 @@ SOURCES = {
         " torque_joint and q_ref of the two recordings as arrays, the table of bodies as a URDF"
     ),
 }
-OF = {"kuka_unloaded": "kuka_kr300"}  # machines of the recordings of another
+# machines of the recordings of another
+OF = {"kuka_unloaded": "kuka_kr300", "kuka_frictionless": "kuka_kr300"}
 _EMPS = "https://drive.google.com/uc?export=download&id=1zwoXYa9-3f8NQ0ohzmjpF7UxbNgRTHkS"
 _TX40 = "https://raw.githubusercontent.com/thanhndv212/figaroh-examples/541a2ec01529eef2dfbdd65bb768d2cfe5af1962/examples/staubli_tx40/data/"
 # what is published as a file, or as a member of a zip archive
@@ -176,6 +177,8 @@ def convert(machine: str, data: Path, out: Path) -> Recordings:
         return kuka(data, out)
     if machine == "kuka_unloaded":
         return unloaded(data, out)
+    if machine == "kuka_frictionless":
+        return frictionless(data, out)
     return pendulum(data, out) if machine == "single_pendulum" else tx40(data, out)
 
 
@@ -236,17 +239,7 @@ def unloaded(data: Path, out: Path) -> Recordings:
     """The motors' side as a slow logger has it, a URDF of the robot without what it carries, and a
     model of both.
     """
-    rng, made = np.random.default_rng(0), []
-    for name in ("A", "B"):
-        table = np.load(data / "kuka_kr300" / f"{name}.npz")
-        t = table["t"]
-        wanted = np.arange(t[0] + 1.0 / RATE, t[-1] - 1.0 / RATE, 1.0 / RATE)
-        wanted += rng.uniform(-JITTER, JITTER, len(wanted)) / RATE
-        rows = np.searchsorted(t, wanted)
-        path = out / f"kuka_{name}.npz"
-        kept = {key: table[key][rows] for key in ("t", "q_motor", "q_ref", "torque_joint")}
-        np.savez_compressed(path, **kept)
-        made.append(path)
+    made = _logged(data, out)
     text = (data / "kuka_kr300" / "kr300.urdf").read_text(encoding="utf-8")
     tree = ElementTree.fromstring(text)
     last = tree.find("link[@name='link6']/inertial")
@@ -259,9 +252,41 @@ def unloaded(data: Path, out: Path) -> Recordings:
     origin.attrib["xyz"] = f"{x * whole / own} {y * whole / own} {(z * whole + 0.34 * LOAD) / own}"
     mass.attrib["value"] = str(own)
     (out / "kr300.urdf").write_text(ElementTree.tostring(tree, encoding="unicode"))
+    (out / "kuka_unloaded.toml").write_text(_model_of_log(), encoding="utf-8")
+    return made
+
+
+def frictionless(data: Path, out: Path) -> Recordings:
+    """The same log, the URDF as it is, and a model without any dry friction."""
+    made = _logged(data, out)
+    shutil.copyfile(data / "kuka_kr300" / "kr300.urdf", out / "kr300.urdf")
+    head, *effects = _model_of_log().split("[[effect]]")
+    *effects, last = effects
+    last, mark, rest = last.partition("[actuator]")
+    kept = "".join(f"[[effect]]{e}" for e in (*effects, last) if 'kind = "coulomb"' not in e)
+    (out / "kuka_frictionless.toml").write_text(head + kept + mark + rest, encoding="utf-8")
+    return made
+
+
+def _logged(data: Path, out: Path) -> Recordings:
+    """The motors' side as a slow logger has it."""
+    rng, made = np.random.default_rng(0), []
+    for name in ("A", "B"):
+        table = np.load(data / "kuka_kr300" / f"{name}.npz")
+        t = table["t"]
+        wanted = np.arange(t[0] + 1.0 / RATE, t[-1] - 1.0 / RATE, 1.0 / RATE)
+        wanted += rng.uniform(-JITTER, JITTER, len(wanted)) / RATE
+        rows = np.searchsorted(t, wanted)
+        path = out / f"kuka_{name}.npz"
+        kept = {key: table[key][rows] for key in ("t", "q_motor", "q_ref", "torque_joint")}
+        np.savez_compressed(path, **kept)
+        made.append(path)
+    return Recordings((made[0],), (made[1],))
+
+
+def _model_of_log() -> str:
+    """The model file of that log."""
     model = (model_folder() / "kuka_kr300.toml").read_text(encoding="utf-8")
     for key in ("sample_time", "hold"):
         model = model.replace(f"{key} = 0.004", f"{key} = {1.0 / RATE}")
-    model = model.replace('position_load = "q_link"\n', "")
-    (out / "kuka_unloaded.toml").write_text(model, encoding="utf-8")
-    return Recordings((made[0],), (made[1],))
+    return model.replace('position_load = "q_link"\n', "")

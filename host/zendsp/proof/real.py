@@ -130,6 +130,19 @@ MACHINES = (
         "",
         (("the load first, within 15 %", load_of_150_kg),),
     ),
+    Machine(
+        "kuka_frictionless",
+        "the same log, given with its load and without any dry friction: Coulomb 355, 242, 294, 50,"
+        " 47, 76 N m, fitted with the rest of the model",
+        "",
+        (
+            *(
+                (f"Coulomb friction of axis {j}", lambda a, j=j: dry_friction(a, j))
+                for j in range(1, 7)
+            ),
+            ("at most one finding beyond", lambda a: len(a.findings) <= 7),
+        ),
+    ),
 )
 
 
