@@ -30,6 +30,7 @@ from zendsp.diagnosis.decide.notes import MADE_WORSE
 from zendsp.diagnosis.decide.pieces import has, rms_torque
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
+from zendsp.diagnosis.explain.held import searched
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
@@ -245,7 +246,7 @@ def _search(
     if jobs == 1 or len(joints) < 2:
         try:
             for joint in joints:
-                done[joint] = _search_joint(parts, beneath, joint, jobs, tell)
+                done[joint] = _searched(parts, beneath, joint, jobs, tell)
                 _count(done, most)
         except KeyboardInterrupt as stop:
             raise (SearchStopped(done) if done else stop) from None
@@ -301,6 +302,17 @@ def _in_order(
 ) -> tuple[list[JointSearch], list[Decision]]:
     pairs = [done[joint] for joint in sorted(done)]
     return [s for s, _ in pairs], [d for _, d in pairs]
+
+
+def _searched(
+    parts: Parts, beneath: Model, joint: int, jobs: int, tell: Progress
+) -> tuple[JointSearch, Decision]:
+    """The search of a joint, and its decision."""
+
+    def search(parts: Parts) -> tuple[JointSearch, Decision]:
+        return _search_joint(parts, beneath, joint, jobs, tell)
+
+    return searched(search, parts, beneath, joint, jobs, tell)
 
 
 def _search_joint(
@@ -446,4 +458,4 @@ def _inherit(parent: int, parts: Parts, beneath: Model, tell: Progress) -> None:
 
 def _search_inherited(joint: int) -> tuple[JointSearch, Decision]:
     parts, beneath, tell = _inherited[0]
-    return _search_joint(parts, beneath, joint, 1, tell)
+    return _searched(parts, beneath, joint, 1, tell)

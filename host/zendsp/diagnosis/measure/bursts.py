@@ -22,6 +22,7 @@ from zendsp.diagnosis.measure.acting import (
 )
 from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.discrepancy import (
+    BANDS,
     FASTEST,
     TURNING,
     band_of,
@@ -29,6 +30,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
     reversals,
+    runs_away,
 )
 from zendsp.diagnosis.measure.neighbours import TURNS_ROUND
 from zendsp.diagnosis.measure.structure import unit
@@ -170,6 +172,8 @@ def bursts(
     often : float
         Part of the reversals that counts as "many".
     """
+    if runs_away(data, model, joint) > BANDS[0]:
+        return None  # an observer that does not hold the model shows that as pushes
     here, there = lacks_of(data, model, joint), lacks_of(beside, model, joint)
     quiet = quiet_energy((here, there))
     acting = acting_of(here, joint, quiet)

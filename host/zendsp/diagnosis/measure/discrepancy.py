@@ -284,18 +284,25 @@ def holding(data: Data, model: Model, joint: int) -> tuple[float, ...]:
     than that shows the instability, not a torque: beside a true Stribeck curve with 50 rad/s, 8 %
     of the torque seemed to be missing at 32 rad/s and less, and 0.4 % at 64 rad/s.
     """
+    away = runs_away(data, model, joint)
+    return (BANDS[0], *(band for band in BANDS[1:] if band > away))
+
+
+def runs_away(data: Data, model: Model, joint: int) -> float:
+    """The largest rate at which friction that falls with the speed drives a model away from the
+    motion, 1/s; 0 or less where it does not.
+    """
     slope = sum(
         drops({name: q.value for name, q in t.parameters.items()})
         for t in model.at(joint)
         if (drops := get_effect(t.effect).drops) is not None
     )
     if not slope > 0.0:
-        return BANDS
-    away = max(
+        return 0.0
+    return max(
         float(np.max((slope - of.damping) / of.inertia))
         for of in (resisting(rec[joint - 1], model) for rec in data.records)
     )
-    return (BANDS[0], *(band for band in BANDS[1:] if band > away))
 
 
 def _lasting(data: Data, model: Model, joint: int, band: float) -> list[Array]:
