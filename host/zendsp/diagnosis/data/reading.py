@@ -25,6 +25,7 @@ from zendsp.diagnosis.data.columns import (
 from zendsp.diagnosis.data.jumps import counter_range, without_spikes
 from zendsp.diagnosis.data.sampling import (
     between_rows,
+    between_stamps,
     clock,
     decimated,
     evenly_read,
@@ -116,7 +117,7 @@ def read_signals(source: Source, model: Model) -> Signals:
         return signals
     if model.sensor.matrix:
         rows = rows @ np.array(model.sensor.matrix).T
-    return _as_noisy_as_read(signals, rows, left_by_lines(grid, stamps))
+    return _as_noisy_as_read(signals, rows, stamps)
 
 
 def _mended(
@@ -147,21 +148,22 @@ def _mended(
     return position, reference, notes
 
 
-def _as_noisy_as_read(s: Signals, rows: Array, left: float) -> Signals:
+def _as_noisy_as_read(s: Signals, rows: Array, stamps: Array) -> Signals:
     """A recording with at least the sensor noise of its ``rows`` (n, joints) before interpolation,
     which reduced the variance seen at high frequencies but not at those of the motion. Where the
     rows themselves show less noise, theirs is used (in fast motion the interpolated ones show
-    jitter too), plus the rounding of interpolated values where the joint moves by half a count.
+    jitter too), plus the rounding of values between two rows where the joint moves by half a count.
     """
-    steps = s.resolution
+    steps, left = s.resolution, left_by_lines(s.time, stamps)
 
     def variance(position: Array) -> Array:
         both = zip(position.T, steps, strict=True)
         return np.array([noise_beside_quantisation(y, float(step)) ** 2 for y, step in both])
 
     before, after = variance(rows), variance(s.position) / left
-    moves = np.mean(np.abs(np.diff(s.position, axis=0)) >= 0.5 * steps, axis=0)
-    rounded = before + moves * steps**2 / 12
+    moves = np.abs(np.diff(s.position, axis=0)) >= 0.5 * steps
+    between = between_stamps(s.time, stamps)[1:, np.newaxis]
+    rounded = before + np.mean(moves & between, axis=0) * steps**2 / 12
     least = np.sqrt(np.maximum(after, np.where(before <= after, rounded, 0.0)))
     return replace(s, least_noise=least if s.least_noise is None else np.fmax(s.least_noise, least))
 

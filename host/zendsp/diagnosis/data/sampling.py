@@ -282,6 +282,16 @@ def resample(grid: Array, time: Array, values: Array) -> Array:
     return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
 
 
+def between_stamps(grid: Array, time: Array) -> npt.NDArray[np.bool_]:
+    """The times of a uniform grid at which no row was read, (n,); a stamp counts as even here as it
+    does in ``clock``.
+    """
+    after = np.clip(np.searchsorted(time, grid), 1, len(time) - 1)
+    away = np.minimum(np.abs(grid - time[after - 1]), np.abs(time[after] - grid))
+    out: npt.NDArray[np.bool_] = away > JITTER * (grid[1] - grid[0])
+    return out
+
+
 def left_by_lines(grid: Array, time: Array) -> float:
     """Part of white noise's variance that fourth differences see after `resample`: a point between
     two rows has less noise than either, and shares it with the next point.
