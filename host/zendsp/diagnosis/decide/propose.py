@@ -20,6 +20,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict, dark, listed
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.result import Next
+from zendsp.diagnosis.decide.rivals import sums
 from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
@@ -117,9 +118,12 @@ def propose(
     seed : int
         Seed of the random phases.
     """
+    finals = {d.joint: d.final.model for d in decisions}
+    findings = [_separable(f, finals[f.joint]) for f in findings]
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:
-        return _without_rival(train[0], given, searches, findings, decisions, seed)
+        other = _without_rival(train[0], given, searches, findings, decisions, seed)
+        return other or _one_torque(findings, finals)
     finding = open_ones[0]
     search = searches[finding.joint - 1]
     rival = _rival(search, finding)
@@ -146,6 +150,26 @@ def propose(
         f" {finding.effect} is true, {rival.effect} will be {gain / 2:.0f} units of log-likelihood"
         " less likely.",
     )  # fmt: skip
+
+
+def _separable(finding: Finding, final: Model) -> Finding:
+    """The finding without the rivals that are the same torque by algebra: no motion, and no other
+    experiment, tells these from it.
+    """
+    same = sums(finding.effect, finding.joint, final)
+    left = tuple(name for name in finding.indistinguishable if name not in same)
+    return replace(finding, indistinguishable=left)
+
+
+def _one_torque(findings: Sequence[Finding], finals: Mapping[int, Model]) -> Next | None:
+    """Why nothing is to be recorded for laws that are the same torque by algebra."""
+    for f in findings:
+        for name in sums(f.effect, f.joint, finals[f.joint]):
+            return Next(
+                f"Nothing: no recording tells {' and '.join(get_effect(name).sums)} at joint"
+                f" {f.joint} from {name}. Together they are the same torque."
+            )
+    return None
 
 
 def _played(signals: Signals, given: Model, motions: Mapping[int, Array], text: str) -> Next:

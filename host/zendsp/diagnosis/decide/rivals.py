@@ -96,7 +96,7 @@ def law_of(
                 else "does not explain the mismatch"
             )
             lost.append(Rejected(rival.effect, joint, why, -0.5 * behind))
-    same += _sums(term, final.model)
+    same += sums(term.effect, joint, final.model)
     laws = _shared([term.effect, *[r.effect for r in rivals]], weights, piece.mechanism)
     gone = replaced(given, final.model, term)
     return Claim(
@@ -174,10 +174,10 @@ def _likelier(final: Scored, every: Sequence[Rival], scores: Array) -> Scored | 
     return min(better, key=lambda b: b[0])[1] if better else None
 
 
-def _sums(term: Term, model: Model) -> list[str]:
-    """The effects to which a term and others beside it are together equal by algebra."""
-    there = {t.effect for t in model.at(term.joint)}
-    return [n for n, e in library().items() if term.effect in e.sums and there.issuperset(e.sums)]
+def sums(effect: str, joint: int, model: Model) -> list[str]:
+    """The effects to which one and others beside it are together equal by algebra."""
+    there = {t.effect for t in model.at(joint)}
+    return [n for n, e in library().items() if effect in e.sums and there.issuperset(e.sums)]
 
 
 def rival_gain(piece: Piece, final: Scored) -> float:
