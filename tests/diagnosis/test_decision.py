@@ -229,7 +229,7 @@ def test_friction_that_differs_with_the_direction_is_friction_and_a_constant_by_
     assert all("coulomb_asymmetry" in same for same in found.values())
     # a chirp was proposed to tell one torque from itself, and the next diagnosis was as open
     assert d.next_recording is not None and d.next_recording.reference is None
-    assert "no recording tells coulomb and torque_offset at joint 1" in d.next_recording.sentence
+    assert "No recording tells coulomb and torque_offset at joint 1" in d.next_recording.sentence
 
 
 def test_coulomb_friction_of_a_joint_that_moves_one_way_cannot_be_told_from_a_constant(

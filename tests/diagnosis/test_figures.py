@@ -150,6 +150,18 @@ def test_every_time_that_the_page_tells_is_shaded(coarse: Diagnosis) -> None:
     assert chart.panels[0].spans == told
 
 
+def test_a_time_is_shaded_only_at_the_joints_that_lack_more_then(coarse: Diagnosis) -> None:
+    """Joint 2 of an arm was shaded where joint 1 turned fastest and itself lacked less than usual.
+    """
+    (mine,) = coarse.missing[1]
+    early = mine.time < mine.time[0] + 2.0
+    lacks = replace(mine, torque=np.where(early, 1.0, 0.1))
+    other = replace(mine, torque=np.where(early, 0.1, 1.0))
+    span = (float(mine.time[0]), float(mine.time[0]) + 1.5)
+    d = replace(coarse, missing={1: [lacks], 2: [other]}, times=(span,), times_of=("run1.csv",))
+    assert figures._times_of(d, 1) == (span,) and figures._times_of(d, 2) == ()
+
+
 def test_a_coarse_encoder_does_not_inflate_the_missing_torque(coarse: Diagnosis) -> None:
     """Three times the torque had been reported: squares of corrections after a plateau of the
     count. Of 0.03 N m a reversal hides a part.

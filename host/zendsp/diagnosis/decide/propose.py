@@ -166,7 +166,7 @@ def _one_torque(findings: Sequence[Finding], finals: Mapping[int, Model]) -> Nex
     for f in findings:
         for name in sums(f.effect, f.joint, finals[f.joint]):
             return Next(
-                f"Nothing: no recording tells {' and '.join(get_effect(name).sums)} at joint"
+                f"No recording tells {' and '.join(get_effect(name).sums)} at joint"
                 f" {f.joint} from {name}. Together they are the same torque."
             )
     return None

@@ -14,7 +14,7 @@ from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.result import Diagnosis, SimulatorErrors, Workings
 from zendsp.diagnosis.measure.curve import Axis, samples_of
-from zendsp.diagnosis.measure.where import VARIABLES, energy, shares
+from zendsp.diagnosis.measure.where import VARIABLES, energy, lies_in, shares
 from zendsp.diagnosis.measure.windows import WINDOW, window_error
 from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
 from zendsp.diagnosis.report.laws import axis_of, drawn, law_chart, unclaimed_chart, unknown_chart
@@ -135,13 +135,23 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
                 torque_label(units_at(d, joint)["torque"]),
                 tuple(series),
                 f"Joint {joint}: torque that the {two.lacking} lacks along the {_shown_on(d)}",
-                spans=d.times if len(times) == 1 else (),  # of one recording's clock
+                spans=_times_of(d, joint) if len(times) == 1 else (),  # of one recording's clock
                 clock=len(times) == 1,
             ),
         ),
         size=(7.2, 2.8),
         joint=joint,
     )
+
+
+def _times_of(d: Diagnosis, joint: int) -> tuple[tuple[float, float], ...]:
+    """The told times in which more of this joint's torque lies than elsewhere: of several joints,
+    one may have told them alone.
+    """
+    if len(d.missing) == 1:
+        return d.times
+    (missing,) = d.missing[joint]
+    return tuple(span for span in d.times if lies_in(missing, *span))
 
 
 def _shown_on(d: Diagnosis) -> str:
