@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import reality
+from small_models import model_of
 
 from zendsp.diagnosis import Diagnosis, engine
 from zendsp.diagnosis.decide import detectable as sizes
 from zendsp.diagnosis.decide.detectable import detectable
+from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.report.html import _could_not
 from zendsp.diagnosis.report.summary import hidden as hidden_words
 from zendsp.diagnosis.report.summary import summary
@@ -150,10 +154,23 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
     assert "delay" in shown, "a shift of the command column, refined, had imitated it"
     assert "would not be seen here even if large: " in summary(d)
     curve = replace(d.undetectable[0], effect="stribeck", at={"velocity": 0.05})
-    assert hidden_words([curve], d.given) == "stribeck (joint 1 at velocity 0.05 rad/s)"
+    assert hidden_words([curve], d) == "stribeck (joint 1 at velocity 0.05 rad/s)"
     listed = _could_not(d).partition("no size is asked: ")[2].partition(".</p>")[0].split(", ")
     assert {"elasticity", "backlash", "hysteresis"} <= set(listed)
     assert not {"ripple", "coulomb_tanh", "payload"} & set(listed)
+
+
+def test_an_effect_that_was_found_is_not_said_to_be_beyond_sight() -> None:
+    """A ripple of order 6 was found, and the same page said that one would not be seen."""
+    ripple = Detectable(1, "position_torque", "ripple", math.inf, "N m", 0.0, {"order": 6.0})
+    slow = replace(ripple, effect="stribeck", at={"velocity": 0.05})
+    one = SimpleNamespace(effect="ripple", joint=1)
+    d: Any = SimpleNamespace(findings=[one], given=model_of())
+    seen = [ripple, slow, replace(slow, joint=2), replace(slow, effect="delay", at={})]
+    assert hidden_words(seen, d) == (
+        "another ripple (joint 1 at order 6), stribeck (joint 1 at velocity 0.05 rad/s, joint 2 at"
+        " velocity 0.05 rad/s), delay (joint 1)"
+    )
 
 
 @pytest.mark.parametrize(

@@ -285,8 +285,7 @@ def located(
 
 
 def lies_in(missing: Missing, begin: float, end: float) -> bool:
-    """Whether more of the mismatch lies between two times, s, than in as much of the time elsewhere.
-    """
+    """Whether more of the mismatch lies between two times, s, than in as much time elsewhere."""
     e, counts = energy(missing)
     e, inside = counts * e, (begin <= missing.time) & (missing.time <= end)
     return bool(inside.any() and np.mean(e[inside]) > np.mean(e))

@@ -138,7 +138,7 @@ def _could_not(d: Diagnosis) -> str:
         )
         rows.append(f"<li>joint {joint}: {sizes}")
     if d.undetectable:
-        unseen = escape(hidden(d.undetectable, d.given))
+        unseen = escape(hidden(d.undetectable, d))
         rows.append(f"<li>would not be seen here even if large: {unseen}")
     return (
         "<p><b>What may have been missed:</b> what is smaller than this. Of what is as large, nine"

@@ -12,7 +12,6 @@ from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis
-    from zendsp.physics.model import Model
 
 REFINEMENTS = 6  # that a summary names
 MISSED = 3  # undetectable effects that a summary names
@@ -63,7 +62,7 @@ def summary(d: Diagnosis) -> str:
     if d.detectable:
         lines.append(f"what may have been missed: {_missed(d.detectable)}")
     if d.undetectable:
-        lines.append(f"would not be seen here even if large: {hidden(d.undetectable, d.given)}")
+        lines.append(f"would not be seen here even if large: {hidden(d.undetectable, d)}")
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:
@@ -84,18 +83,30 @@ def _missed(detectable: Sequence[Detectable]) -> str:
     return named + (f", and {counted(more, 'smaller one')}" if more else "")
 
 
-def hidden(undetectable: Sequence[Detectable], given: Model) -> str:
+def hidden(undetectable: Sequence[Detectable], d: Diagnosis) -> str:
     """The effects that these recordings would not show, each with its joints; where that depends on
     the shape of a law, with the one that shows least.
     """
-    joints: dict[str, list[Detectable]] = {}
+    found = {(f.effect, f.joint) for f in d.findings}
+    joints: dict[str, list[str]] = {}
     for x in undetectable:
-        joints.setdefault(x.effect, []).append(x)
-    return ", ".join(
-        f"{effect} (joint{'s' if len(each) > 1 else ''}"
-        f" {', '.join(_joint_of(x, given.joint_kind(x.joint)) for x in each)})"
-        for effect, each in joints.items()
-    )
+        name = f"another {x.effect}" if (x.effect, x.joint) in found else x.effect
+        at = _shape_of(x, d.given.joint_kind(x.joint))
+        joints.setdefault(name, []).append(f"{x.joint} at {at}" if at else str(x.joint))
+    return ", ".join(f"{effect} ({_joints(each)})" for effect, each in joints.items())
+
+
+def _joints(each: Sequence[str]) -> str:
+    """The joints of an effect in words.
+
+    Examples
+    --------
+    >>> _joints(["1", "2"]), _joints(["1 at order 6", "2 at order 3"])
+    ('joints 1, 2', 'joint 1 at order 6, joint 2 at order 3')
+    """
+    if len(each) > 1 and not any(" " in one for one in each):
+        return f"joints {', '.join(each)}"
+    return ", ".join(f"joint {one}" for one in each)
 
 
 def unasked() -> list[str]:
@@ -104,13 +115,13 @@ def unasked() -> list[str]:
     return [e.name for e in sought if not e.sized]
 
 
-def _joint_of(x: Detectable, kind: str) -> str:
+def _shape_of(x: Detectable, kind: str) -> str:
+    """The shape at which a law shows least, in words; empty where it has none."""
     words = []
     for name, value in x.at.items():
         unit = unit_of(get_effect(x.effect).parameter(name).size, kind)
         words.append(f"{name.replace('_', ' ')} {value:.2g} {unit}".removesuffix(" 1").rstrip())
-    at = " and ".join(words)
-    return f"{x.joint} at {at}" if at else str(x.joint)
+    return " and ".join(words)
 
 
 def _is_body(x: Detectable) -> bool:
