@@ -92,12 +92,7 @@ def gather(source: Source) -> dict[str, str]:
     waiting = [path]
     while waiting:
         file = waiting.pop()
-        try:
-            text = file.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise CompileFailed(
-                f"{file}: cannot be read ({error}); give a C file or {{name: text}}"
-            ) from error
+        text = _text_of(file)
         sources[file.relative_to(path.parent).as_posix()] = text
         for name in _INCLUDE.findall(text):
             header = file.parent / name
@@ -111,6 +106,27 @@ def gather(source: Source) -> dict[str, str]:
             elif known == name and known not in sources and (shipped := _shipped_header(name)):
                 sources[known] = shipped.read_text(encoding="utf-8")
     return sources
+
+
+def _text_of(file: Path) -> str:
+    """The text of a source file, refused where it is none."""
+    try:
+        read = file.read_bytes()
+        return read.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+    except OSError as error:
+        raise CompileFailed(
+            f"{file}: cannot be read ({error}); give a C file or {{name: text}}"
+        ) from error
+    except UnicodeDecodeError as error:
+        line = read.count(b"\n", 0, error.start) + 1
+        if b"\0" in read:
+            raise CompileFailed(
+                f"{file}: is no UTF-8 text: give a C file, saved as UTF-8"
+            ) from error
+        raise CompileFailed(
+            f"{file}: line {line}: the byte 0x{read[error.start]:02x} is no UTF-8 text: save the"
+            " file as UTF-8, with an editor or by 'iconv -f WINDOWS-1252 -t UTF-8'"
+        ) from error
 
 
 def _shipped_header(name: str) -> Path | None:

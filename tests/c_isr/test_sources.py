@@ -133,3 +133,23 @@ def test_a_shipped_header_comes_along_with_a_program_of_another_folder(tmp_path:
     (tmp_path / "motion.h").write_text("/* mine */")
     assert gather(tmp_path / "mine.c")["motion.h"] == "/* mine */"
     assert set(gather(tmp_path / "mine.c")) == {"mine.c", "motion.h"}
+
+
+@pytest.mark.parametrize(
+    ("read", "words"),
+    [
+        (b"// one\n// Verst\xe4rkung\n", "line 2: the byte 0xe4 is no UTF-8 text: save the file"),
+        ("// one\n".encode("utf-16"), "mine.c: is no UTF-8 text: give a C file, saved as UTF-8"),
+    ],
+)
+def test_a_source_in_another_encoding_is_refused_with_its_line_and_what_to_do(
+    read: bytes, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.c").write_bytes(read)
+    with pytest.raises(CompileFailed, match=words):
+        gather(tmp_path / "mine.c")
+
+
+def test_a_source_with_the_ends_of_lines_of_windows_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "mine.c").write_bytes(b"// one\r\n// two\r\n")
+    assert gather(tmp_path / "mine.c") == {"mine.c": "// one\n// two\n"}

@@ -294,6 +294,15 @@ def test_a_failed_compile_says_that_the_running_program_goes_on(
     assert target.status().state == "running"
 
 
+def test_a_program_that_is_long_in_loading_is_said_to_load(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A UserInit without end was silent for 10 s."""
+    monkeypatch.setenv("ZENDSP_PROGRESS", "lines")  # on a terminal: one line
+    assert "compiling and loading" in zendsp_("load", "pd.c").stderr
+    assert "compiling" not in zendsp_("load", "pd.c", "--json").stderr
+
+
 def test_a_failed_load_says_that_the_program_before_was_ended(
     target: Target, tmp_path: Path
 ) -> None:

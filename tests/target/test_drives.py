@@ -291,7 +291,9 @@ def test_the_command_line_goes_through_the_sequence(target: Target) -> None:
     assert target.drive_status().state == "enabled" and target.drive_status().commander == ""
     target.take_command()
     assert "exclusive right" in _cli(target, "off").stderr
-    assert _cli(target, "take", "--force").returncode == 0
+    taken = _cli(target, "take", "--force")
+    assert taken.returncode == 0 and "taken, and free again" in taken.stderr
+    assert "commanded by nobody" in taken.stdout
     assert target.drive_status().commander == "", "freed"
 
 

@@ -9,6 +9,7 @@ import click
 
 from zendsp.cli.common import emit, flag_option, open_target, target_options
 from zendsp.cli.completing import programs
+from zendsp.cli.progress import stages
 from zendsp_protocol.states import ProgramState
 
 if TYPE_CHECKING:
@@ -39,7 +40,9 @@ def compiled(work: Callable[[], Any], as_json: bool, target: Target | None = Non
     from zendsp.errors import CompileFailed
 
     try:
-        return work()
+        with stages(quiet=as_json) as tell:  # a UserInit without end takes 10 s
+            tell("compiling" if target is None else "compiling and loading")
+            return work()
     except CompileFailed as error:
         result = getattr(error, "result", None)
         if result is None:  # the file itself is missing

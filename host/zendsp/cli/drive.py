@@ -50,8 +50,8 @@ def command(
 
     off → ready → homed → enabled → running → stopped or tripped. Without ACTION: where the drives
     are, what enabling still needs, and the commands that bring the machine back into motion. A
-    command that ends gives the right to command back; "take
-    --force" thus frees it from another host. A refusal names each condition.
+    command that ends gives the right to command back; "take --force" thus frees it from another
+    host. A refusal names each condition.
 
     \b
     Example:  zendsp drive on && zendsp drive home && zendsp drive enable
@@ -68,7 +68,7 @@ def command(
             "enable": lambda: t.enable(mode),
             "disable": t.disable,
             "auto": t.drive_auto,
-            "take": lambda: t.take_command(force),
+            "take": lambda: _take(t, force),
         }
         try:
             if action == "acknowledge":
@@ -109,6 +109,12 @@ def _home(t: Target) -> str:
     with stages() as tell:
         tell("homing; Ctrl-C ends it")
         return t.home_and_wait()
+
+
+def _take(t: Target, force: bool) -> str:
+    """Take the right to command; as this command ends, it gives it back."""
+    t.take_command(force)
+    return "taken, and free again: a command that ends gives the right to command back"
 
 
 def _mode(status: m.DriveStatus) -> str:
