@@ -393,3 +393,27 @@ def test_a_target_whose_folder_was_removed_is_stopped_and_found_by_name(
     with pytest.raises(LinkError, match=says):
         connect("alone")
     assert re.search(says, "".join(typed("ls")[1:]))
+
+
+def test_a_frozen_target_is_named_with_its_process_and_is_stopped_all_the_same(
+    start: Callable[..., Target], typed: Callable[..., tuple[object, str, str]]
+) -> None:
+    """It was "no target answers: 'zendsp target' starts one", which was then refused: one of that
+    name ran.
+    """
+    target = start(clock="real", options=["--no-realtime"], name="alone")
+    target.download("pd.c")
+    target.start()
+    pid = local_entries()[0].pid
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        says = rf"alone runs here \(process {pid}\) and does not answer: .*'kill -CONT {pid}'"
+        with pytest.raises(LinkError, match=says):
+            connect("alone", timeout=0.5)
+        assert re.search(says, "".join(typed("ls")[1:]))
+        status, said, _ = typed("stop")
+        assert status == 0 and "stopped, at sample" in said
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    with connect("alone", timeout=PATIENCE_S) as again:
+        assert again.status().trip is not None

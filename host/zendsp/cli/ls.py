@@ -28,7 +28,7 @@ def command(pattern: str, connect: str | None, as_json: bool) -> None:
         about = (
             [info.machine, state, f"{info.rate_hz:g}", info.clock, str(info.pid)]
             if info
-            else [one.problem, "", "", "", ""]
+            else ["", "unusable, see below", "", "", ""]
         )
         rows.append([one.name, *about, ", ".join(one.endpoints)])
     body = [
@@ -39,7 +39,9 @@ def command(pattern: str, connect: str | None, as_json: bool) -> None:
         for f in found
     ]
     columns = ["NAME", "MACHINE", "STATE", "HZ", "CLOCK", "PID", "ENDPOINT"]
-    emit(body, as_json, text_table(columns, rows) if found else _none(pattern, connect))
+    problems = [one.problem for one in found if not one.info]
+    table = "\n\n".join([text_table(columns, rows), *problems])
+    emit(body, as_json, table if found else _none(pattern, connect))
     if not found:
         raise click.exceptions.Exit(1)
 

@@ -15,7 +15,7 @@ import zenoh
 
 from zendsp.errors import LinkError, VersionMismatch, ZendspError
 from zendsp.here.registered import local_entries, remote_endpoints
-from zendsp.link.session import open_session
+from zendsp.link.session import open_session, silent
 from zendsp.link.settings import Credentials, doubts
 from zendsp_protocol import codec, keys, registry
 from zendsp_protocol import messages as m
@@ -80,7 +80,10 @@ def discover(
     places += [([endpoint], None) for endpoint in remote_endpoints(connect)]
     found: dict[str, Found] = {}
     for entry, answers in zip_longest(entries, _ask_all(places, timeout)):
-        if entry and (problem := unreachable(entry)):
+        problem = unreachable(entry) if entry else ""
+        if entry and not answers:
+            problem = problem or silent(entry.endpoints)
+        if entry and problem:
             found[entry.name] = Found(entry.name, tuple(entry.endpoints), None, problem)
         for one in answers:
             if one.name == entry.name if entry else fnmatch.fnmatchcase(one.name, pattern):

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import zenoh
 
 from zendsp.errors import LinkError
+from zendsp.here.registered import local_entries
 from zendsp.here.stop_page import own_name
 from zendsp.link.settings import Credentials, doubts, zenoh_config
 from zendsp_protocol import keys
@@ -59,6 +60,8 @@ def open_session(
         )
         if wrong := doubts(credentials, endpoints):
             raise LinkError(f"nothing answers at {where}: {wrong}") from error
+        if frozen := silent(endpoints):
+            raise LinkError(f"{frozen} (asked for {timeout:g} s)") from error
         raise LinkError(
             f"nothing answers at {where} within {timeout:g} s{doubt}. Is the target running?"
         ) from error
@@ -66,6 +69,21 @@ def open_session(
         session.close()  # type: ignore[no-untyped-call]
         raise LinkError(f"nothing answers at {where}{REFUSES}")
     return session
+
+
+def silent(endpoints: Sequence[str]) -> str:
+    """What is known of a target of this user on this computer that does not answer at
+    ``endpoints``; empty where none of these is one's.
+    """
+    for entry in local_entries():
+        if {*endpoints} & {*entry.endpoints}:
+            return (
+                f"{entry.name} runs here (process {entry.pid}) and does not answer: it is stopped"
+                f" (kill -STOP, a debugger) or hangs. 'zendsp stop {entry.name}' stops its machine"
+                f" all the same. 'kill -CONT {entry.pid}' lets it go on, 'kill -KILL {entry.pid}'"
+                " ends it"
+            )
+    return ""
 
 
 def not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) -> str:
