@@ -142,7 +142,7 @@ CHAIN = "".join(
         (f'<!DOCTYPE r [{BOMB}]><robot name="&a11;"/>', "amplification"),
         ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>', "entity"),
         (f'<robot name="r">{CHAIN}<link name="l3000"/></robot>', "too long to be read"),
-        (f'<robot name="r">{"<a>" * 90000}{"</a>" * 90000}</robot>', "has 0 links"),
+        (f'<robot name="r">{"<a>" * 90000}{"</a>" * 90000}</robot>', "has no <link>"),
     ],
     ids=["missing", "cut", "mujoco", "bomb", "foreign file", "endless chain", "deep"],
 )

@@ -105,7 +105,10 @@ def _read(
         carried.add(child)
     roots = [name for name in links if name not in carried]
     if len(roots) != 1:
-        raise ModelError(f"{path}: has {len(roots)} links without a parent; expected one")
+        said = f"{len(roots)} of its links hang on no joint ({', '.join(roots[:3])})"
+        if not roots:
+            said = "its links hang on one another in a loop" if links else "has no <link>"
+        raise ModelError(f"{path}: {said}: one has to be the base")
     bodies: list[Body] = []
     order: list[str] = []
     loose = set(links)  # not yet found from the base outwards
@@ -186,21 +189,30 @@ def _inertial(link: ET.Element, rotation: Array, place: Array) -> tuple[float, A
     found = link.find("inertial")
     if found is None:
         return 0.0, np.zeros(3), np.zeros((3, 3))
-    turn, at = _origin(found)
+    try:
+        turn, at = _origin(found)
+        mass, own = _mass(found)
+    except (ValueError, KeyError) as error:
+        raise ValueError(f"link {link.attrib['name']!r}: <inertial> {error}") from error
     turn = rotation @ turn
+    return mass, place + rotation @ at, turn @ own @ turn.T
+
+
+def _mass(found: ET.Element) -> tuple[float, Array]:
+    """Mass, kg, and inertia, (3, 3) kg m², of an <inertial>."""
     inertia, weighs = found.find("inertia"), found.find("mass")
     if inertia is None or weighs is None:
-        raise ValueError(f"link {link.attrib['name']!r} has <inertial> without <mass> or <inertia>")
+        raise ValueError("is without <mass> or <inertia>")
     i = {key: float(value) for key, value in inertia.attrib.items()}
     xy, xz, yz = (i.get(key, 0.0) for key in ("ixy", "ixz", "iyz"))
     own = np.array([[i["ixx"], xy, xz], [xy, i["iyy"], yz], [xz, yz, i["izz"]]])
     mass = float(weighs.attrib["value"])
-    if not (0.0 <= mass < np.inf and np.isfinite(own).all()):
+    if not (0.0 <= mass < np.inf and np.isfinite(own).all() and (np.diag(own) >= 0.0).all()):
         raise ValueError(
-            f"link {link.attrib['name']!r}: mass {mass:g} kg, inertia {list(i.values())} kg m^2:"
-            " give finite numbers, and a mass of 0 or more"
+            f"of {mass:g} kg and {list(i.values())} kg m^2: give finite numbers, and mass, ixx,"
+            " iyy and izz of 0 or more"
         )
-    return mass, place + rotation @ at, turn @ own @ turn.T
+    return mass, own
 
 
 def _origin(element: ET.Element) -> tuple[Array, Array]:
