@@ -69,6 +69,10 @@ def whole(recording, parameters):  # starts at zero whatever the recording says,
     return out
 
 
+def copied(recording, parameters):
+    return recording["position"]
+
+
 def broken(recording, parameters):
     raise ValueError("no licence")
 
@@ -277,6 +281,8 @@ def test_simulator_that_starts_elsewhere_is_compared_as_a_whole_and_the_report_s
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
+        # whose machine was "complete", by an error fifteen times below the sensor's
+        ("pendulum_sim:copied", "not to hand the recording back"),
         ("pendulum_sim:broken", "no licence"),
         ("pendulum_sim:short", "shape"),
         ("pendulum_sim:nothing", "no function"),

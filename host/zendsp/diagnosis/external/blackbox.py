@@ -48,6 +48,7 @@ from zendsp.diagnosis.external.output_error import (
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input
 from zendsp.diagnosis.measure.where import Missing, located, units
 from zendsp.diagnosis.progress import Progress, Said, Step
+from zendsp.errors import ModelError
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.calibration.joint import share_facts
@@ -163,6 +164,7 @@ def _diagnose(
 ) -> Diagnosis:
     begin, tell = time.perf_counter(), _Stages(tell)
     train, test, notes = _recordings(sources, heldout, model, simulator)
+    _refuse_copies(train[0], model)
     for b in (*train, *test):
         b.ran = tell.ran
     tell(Step.CALIBRATING.says("calibrating the simulator"))
@@ -310,6 +312,21 @@ def _recordings(
             " compared over whole recordings, where errors accumulate"
         )
     return train, test, notes
+
+
+def _refuse_copies(b: Bench, model: Model) -> None:
+    """Refuse a simulator that errs by less than the sensor does, although the recorded command
+    makes no difference to it: it hands the recording back, and nothing could be seen to lack.
+    """
+    driven = b.command(model)
+    if _rms([b], model) > _floor([b]) or not np.any(driven):
+        return
+    if np.array_equal(b.run(driven, model), b.run(0.0 * driven, model)):
+        raise ModelError(
+            f"the simulator {model.entry or model.file!r} errs by less than the sensor, and gives"
+            " the same position without the recorded command as with it: it has to compute the"
+            " motion from the command, and not to hand the recording back"
+        )
 
 
 def _restarts(b: Bench, model: Model) -> bool:
