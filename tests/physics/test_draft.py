@@ -282,6 +282,12 @@ def test_a_second_that_is_missing_is_asked_about_before_it_is_refused() -> None:
 def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
     with pytest.raises(RecordingError, match=r"no column looks like a position; it has t, a, b"):
         draft_model(Table({"t": T, "a": T, "b": T}, {}, {}, Path("run.csv")))
+    # a matrix as MATLAB saves it had the one name
+    matrix = Table({"data": np.stack([T, T, T], axis=1)}, {}, {}, Path("run.mat"))
+    with pytest.raises(RecordingError, match=r"it has data\[0\] … data\[2\]\. Name one"):
+        draft_model(matrix)
+    with pytest.raises(RecordingError, match=r"no column 'q'; it has data\[0\] … data\[2\]"):
+        matrix["q"]
 
 
 def test_a_column_without_a_number_is_named() -> None:

@@ -168,6 +168,20 @@ def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
     return None
 
 
+def told(columns: Mapping[str, FloatArray]) -> list[str]:
+    """The names of columns for a message; of a vector those of its elements.
+
+    Examples
+    --------
+    >>> told({"t": np.zeros(5), "data": np.zeros((5, 4))})
+    ['t', 'data[0] … data[3]']
+    """
+    return [
+        f"{name}[0] … {name}[{values.shape[1] - 1}]" if values.ndim == 2 else name
+        for name, values in columns.items()
+    ]
+
+
 def listing(names: Sequence[str]) -> str:
     """Names as part of a sentence, cut short where there are very many."""
     more = f", … ({len(names)} in all)" if len(names) > LISTED else ""

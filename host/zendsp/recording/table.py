@@ -19,6 +19,7 @@ from zendsp.recording.names import (
     pick,
     qualified,
     split_unit,
+    told,
     units_in,
 )
 from zendsp.recording.own import checked
@@ -111,7 +112,7 @@ class Table:
             values = pick(self.columns, split_unit(name)[0])
         if values is None:
             raise RecordingError(
-                f"{self.path}: has no column {name!r}; it has {listing(list(self.columns))}"
+                f"{self.path}: has no column {name!r}; it has {listing(told(self.columns))}"
             )
         return values
 

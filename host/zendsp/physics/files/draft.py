@@ -35,6 +35,7 @@ from zendsp.physics.files.draft_tables import (
 )
 from zendsp.physics.files.shipped import model_folder
 from zendsp.recording import Table
+from zendsp.recording.names import told
 from zendsp.recording.roles import Role
 from zendsp.recording.samples import is_gap
 from zendsp.recording.units import ENCODER, not_known
@@ -92,9 +93,10 @@ def draft_model(
     if position is None:
         said = "".join(f" ({note})" for note in table.notes if "left out" in note)
         raise RecordingError(
-            f"{table.path}: no column looks like a position; it has {', '.join(table.columns)}"
-            + (f", of which {nothing}" if bare else "")
-            + f"{said}. Name one q, position or theta, or give its unit: 'x1 [rad]'"
+            f"{table.path}: no column looks like a position; it has"
+            f" {', '.join(told(table.columns))}{f', of which {nothing}' if bare else ''}{said}."
+            " Name one q, position or theta, or give its unit: 'x1 [rad]'; a model file of your own"
+            " names any column"
         )
     joints = position.values.shape[1]
     known = machine if machine is not None and len(machine.joints) == joints else None
