@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,6 +41,11 @@ def test_the_table_has_positions_and_commands_beside_their_limits() -> None:
         ["slide", "-0.0005", "m", "-inf", "…", "inf", "–", "1000", "mV", "10000", "10", "%", "2",
          "m/s"],
     ]  # fmt: skip
+
+
+def test_a_joint_at_zero_has_no_sign() -> None:
+    joint = replace(joints_of(status(), (AXIS, SLIDE), LIMITS)[0], position=-2e-5, command=-0.0)
+    assert joint.row()[1] == "0.0000 rad" and joint.row()[4] == "0 N m"
 
 
 def test_a_position_that_nothing_knows_is_not_told() -> None:

@@ -287,6 +287,8 @@ def test_a_part_of_a_recording_keeps_what_was_true_of_it(
     assert np.array_equal(part.data, recording.data[2:]) and part.sources == recording.sources
     with pytest.raises(RecordingError, match=r"no row is left of 200; it is 0.398 s long"):
         read_parts(path, begin=1.0)
+    with pytest.raises(RecordingError, match=r"from 0\.2 s to 0\.1 s is no time: exchange them"):
+        read_parts(path, begin=0.2, end=0.1)
 
 
 def test_a_foreign_file_is_cut_at_its_gaps_and_keeps_its_columns(tmp_path: Path) -> None:

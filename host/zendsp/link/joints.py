@@ -32,11 +32,11 @@ class Joint:
         the limit of speed.
         """
         inside = f"{self.position_min:g} … {self.position_max:g}"
-        stands = f"{self.position:.4f} {self.unit}" if math.isfinite(self.position) else "unknown"
+        stands = f"{self.position:z.4f} {self.unit}" if math.isfinite(self.position) else "unknown"
         return (
             self.name, stands, inside,
             percent(share_of_range(self.position, self.position_min, self.position_max)),
-            f"{self.command:.4g} {self.command_unit}", f"{self.command_max:g}",
+            f"{self.command:z.4g} {self.command_unit}", f"{self.command_max:g}",
             percent(abs(self.command) / self.command_max if self.command_max > 0.0 else math.nan),
             f"{self.speed_max:g} {self.unit}/s",
         )  # fmt: skip

@@ -66,6 +66,8 @@ def read_parts(
         keep &= (t < first) | (t >= last)
     rows = np.flatnonzero(keep)
     if not len(rows):
+        if begin >= end:
+            raise RecordingError(f"{path}: from {begin:g} s to {end:g} s is no time: exchange them")
         raise RecordingError(
             f"{path}: no row is left of {len(rec)}; it is {t[-1] if len(t) else 0.0:.6g} s long"
         )

@@ -95,7 +95,8 @@ def make_reference(
     if not chosen.fits(machine):
         raise ReferenceError_(
             f"{kind} is planned for machines of kind {', '.join(chosen.machine_kinds)};"
-            f" {machine.name} is of kind {machine.kind}"
+            f" {machine.name} is of kind {machine.kind}, for which there are"
+            f" {', '.join(name for name, other in KINDS.items() if other.fits(machine))}"
         )
     unknown = set(parameters) - {p.name for p in chosen.parameters}
     if unknown:
