@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,7 +12,8 @@ from zendsp.errors import NotStopped
 from zendsp.link import Target
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose
-from zendsp.tui.dialogs.leave import Leave
+from zendsp.tui.dialogs.leave import Leave, may_move
+from zendsp.tui.snapshot import LinkState
 
 if TYPE_CHECKING:
     from steps import Until
@@ -74,6 +76,29 @@ async def test_the_question_follows_what_becomes_of_the_machine_beneath(
         assert lab.screen.query_one(OptionList).highlighted == 1, "the marked line stays marked"
         target.stop()
         await until(pilot, lambda: "The machine is stopped" in said(), "and once more")
+
+
+async def test_leaving_a_machine_that_ran_when_the_link_was_lost_is_asked(
+    lab: ZendspApp, target: Target, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl+Q left at once beneath "NOT STOPPED: use the machine's emergency stop"."""
+    target.download("pd.c")
+    target.start()
+    async with lab.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
+        lost = replace(lab.session.snapshot, link=LinkState.LOST)
+        assert may_move(lost) and not may_move(replace(lost, gone=True))
+        known = property(lambda _: lost, lambda *_: None)  # whatever the poller hears
+        monkeypatch.setattr(type(lab.session), "snapshot", known, raising=False)
+        await pilot.press("ctrl+q")
+        await until(pilot, lambda: isinstance(lab.screen, Leave), "the question")
+        await until(pilot, lambda: lab.screen.query(OptionList), "its lines")
+        assert lab.screen.query_one(".box").border_title == "The link is lost"
+        lines = lab.screen.query_one(OptionList)
+        assert "the program goes on" in str(lines.get_option_at_index(2).prompt)
+        await pilot.press("enter")
+        await until(pilot, lambda: not isinstance(lab.screen, Leave), "it stays")
+        assert not lab._exit
 
 
 async def test_leaving_a_machine_that_stands_is_not_questioned(

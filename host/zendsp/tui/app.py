@@ -18,7 +18,7 @@ from textual.widgets import Input
 from zendsp.tui.actions import ACTIONS, Action, bindings, in_keys
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Message
-from zendsp.tui.dialogs.leave import Leave, becomes, moves
+from zendsp.tui.dialogs.leave import Leave, becomes, may_move, moves
 from zendsp.tui.port import Port
 from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import TALL, LabScreen
@@ -179,8 +179,9 @@ class ZendspApp(TypeAhead):
             self.session.stops.stop()
 
     async def action_quit(self) -> None:
-        """Leave. Where the machine moves, first ask what shall become of it."""
-        if not moves(self.session.snapshot):
+        """Leave. Where the machine moves, or may, first ask what shall become of it."""
+        s = self.session.snapshot
+        if not (moves(s) or may_move(s)):
             self.exit()
         elif not isinstance(self.screen, Leave):
             port = self.session.port

@@ -21,6 +21,13 @@ def moves(s: Snapshot) -> bool:
     return s.link == LinkState.UP and s.state == ProgramState.RUNNING and s.drive not in LATCHED
 
 
+def may_move(s: Snapshot) -> bool:
+    """Whether the program drove the machine when the link was lost, and nothing says that it ended.
+    """
+    drove = s.state == ProgramState.RUNNING and s.drive not in LATCHED
+    return s.link == LinkState.LOST and drove and not s.gone
+
+
 def becomes(s: Snapshot) -> str:
     """A sentence on what the machine does once this terminal is gone."""
     lets_go = s.mine or (s.moved_by == "you" and not s.commander)
@@ -71,7 +78,7 @@ class Leave(Choose):
 
     def _ways(self) -> tuple[Option, ...]:
         s = self._look()
-        left = becomes(s) if moves(s) else ""
+        left = becomes(s) if moves(s) or may_move(s) else ""
         if self._ends:
             left = "the simulated machine ends with this terminal"
         elif self._busy():
