@@ -242,6 +242,14 @@ def test_a_disturbance_is_no_concealed_effect_and_ends_no_story() -> None:
     assert not judged.named and judged.extra == (finding,)
 
 
+def test_what_was_found_is_told_with_what_it_cannot_be_told_from() -> None:
+    """The picture of a true story said: concealed coulomb asymmetry, found torque offset."""
+    finding = Finding("torque_offset", 1, {}, 0.97, 0.5, ("coulomb_asymmetry",), (), "")
+    diagnosis = cast(Diagnosis, SimpleNamespace(findings=(finding,)))
+    told = Told(cast(Recorded, None), diagnosis)
+    assert told.found == "torque offset or coulomb asymmetry on joint 1"
+
+
 def test_a_machine_without_a_story_is_named() -> None:
     with pytest.raises(Refused, match=r"ur5.*imi_planar, pendulum, wam7"):
         get_stage("ur5")

@@ -83,9 +83,10 @@ class Told:
 
     @property
     def found(self) -> str:
-        """The findings in a line."""
+        """The findings in a line, each with what it cannot be told from."""
         findings = self.diagnosis.findings
-        named = [f"{f.effect.replace('_', ' ')} on joint {f.joint}" for f in findings]
+        laws = [" or ".join((f.effect, *f.indistinguishable)).replace("_", " ") for f in findings]
+        named = [f"{law} on joint {f.joint}" for law, f in zip(laws, findings, strict=True)]
         if not findings:
             named = [f"{r.effect} on joint {r.joint}, by calibration" for r in self.refits]
         return ", ".join(named) or "nothing"
