@@ -15,13 +15,11 @@ import zenoh
 
 from zendsp.errors import LinkError, VersionMismatch, ZendspError
 from zendsp.here.registered import local_entries, remote_endpoints
-from zendsp.link.session import open_session, silent
+from zendsp.link.session import SOCKET, open_session, silent
 from zendsp.link.settings import Credentials, doubts
 from zendsp_protocol import codec, keys, registry
 from zendsp_protocol import messages as m
 from zendsp_protocol.verbs import VERBS
-
-SOCKET = "unixsock-stream/"
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from zendsp_protocol.files_left import need_files
 _numbers = itertools.count(1)
 _opened: set[int] = set()  # process ids; a fork leaves the threads of Zenoh behind
 
+SOCKET = "unixsock-stream/"
 REFUSES = (
     ", or it refuses the certificate or password given, or its own certificate is not of the"
     " authority given"
@@ -73,10 +74,11 @@ def open_session(
 
 def silent(endpoints: Sequence[str]) -> str:
     """What is known of a target of this user on this computer that does not answer at
-    ``endpoints``; empty where none of these is one's.
+    ``endpoints``; empty where none of these is its socket. (Elsewhere it may refuse the caller.)
     """
+    sockets = {endpoint for endpoint in endpoints if endpoint.startswith(SOCKET)}
     for entry in local_entries():
-        if {*endpoints} & {*entry.endpoints}:
+        if sockets & {*entry.endpoints}:
             return (
                 f"{entry.name} runs here (process {entry.pid}) and does not answer: it is stopped"
                 f" (kill -STOP, a debugger) or hangs. 'zendsp stop {entry.name}' stops its machine"
