@@ -40,9 +40,12 @@ def fit_near(data: Data, model: Model, near: Fit, joint: int) -> Fit | None:
     Returns
     -------
     Fit or None
-        With Jacobian and covariance of the other; None where its steps do not lead to a minimum.
+        With Jacobian and covariance of the other; None where its steps do not lead to a minimum,
+        or no number is free.
     """
     handles, jac = near.handles, near.jacobian
+    if not handles:
+        return None
     bounds = bounds_and_steps(data, model, handles)
     problem = Descent((), data.inner, model, handles, bounds, map, False)  # steps, no passes
     x = np.clip(get_values(model, handles), problem.low, problem.high)
