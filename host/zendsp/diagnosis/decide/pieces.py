@@ -412,24 +412,16 @@ def torque_of(test: Data, terms: Sequence[Term], model: Model, joint: int) -> fl
 
 
 def dry_torque(data: Data, model: Model, joint: int) -> float:
-    """RMS of a model's dry friction at a joint along recordings, N m or N, with that inside a
-    simulator; 0 where it has none.
-    """
+    """RMS of a model's dry friction at a joint along recordings, N m or N; 0 where it has none."""
     dry = tuple(t for t in model.at(joint) if mechanism_of(t.effect) == DRY)
     records = [rec[joint - 1] for rec in data.records]
     along = np.concatenate([trace(r, model, dry, 0.0) for r in records])
-    return float(np.sqrt(np.mean(along**2))) + _dry_inside(model, joint)
+    return float(np.sqrt(np.mean(along**2)))
 
 
 def rubs(model: Model, joint: int) -> bool:
-    """Whether a model has dry friction at a joint, be it inside a simulator."""
-    return has(model, DRY, joint) or _dry_inside(model, joint) > 0.0
-
-
-def _dry_inside(model: Model, joint: int) -> float:
-    """The dry friction of a joint inside a simulator that can only be called, N m or N."""
-    known = model.called.dry if model.called is not None else ()
-    return known[joint - 1] if known else 0.0
+    """Whether a model has dry friction at a joint."""
+    return has(model, DRY, joint)
 
 
 def has(model: Model, mechanism: str, joint: int) -> bool:

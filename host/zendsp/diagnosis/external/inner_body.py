@@ -7,7 +7,7 @@ gravity, which leaves something. A law that is right leaves nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 from zendsp.diagnosis.decide.contract import Verdict, listed
@@ -50,7 +50,10 @@ def _may_be_a_body(d: Diagnosis) -> bool:
 
 
 def without_parts(
-    d: Diagnosis, given: Model, diagnose: Callable[[Model], Diagnosis]
+    d: Diagnosis,
+    given: Model,
+    diagnose: Callable[[Model], Diagnosis],
+    terms: Collection[str] = (),
 ) -> Diagnosis:
     """The diagnosis without laws that are each a part of a wrong body inside the simulator.
 
@@ -60,12 +63,16 @@ def without_parts(
         Of several joints.
     diagnose : callable
         Diagnoses with another given model.
+    terms : collection of str
+        Numbers of the simulator that are terms of the model.
     """
     if given.joints < 2 or not _may_be_a_body(d):
         return d
-    held = [k for k, q in given.mechanism.items() if q[0].value and not q[0].free]
+    held = [
+        k for k, q in given.mechanism.items() if q[0].value and not q[0].free and k not in terms
+    ]
     if held:
-        again = diagnose(freed(given))
+        again = diagnose(freed(given, held))
         if len(again.findings) < len(d.findings) and not _may_be_a_body(again):
             rest = "less is left" if again.findings or again.unexplained else "nothing is left"
             joints = listed({f.joint for f in like_parts(d)})
@@ -91,9 +98,10 @@ def _calibrated(table: FitTable) -> FitTable:
     return replace(table, improved=table.calibrated)
 
 
-def freed(model: Model) -> Model:
-    """The model with all its numbers free."""
+def freed(model: Model, names: Collection[str]) -> Model:
+    """The model with some of its numbers free."""
     mechanism = {
-        key: tuple(replace(q, free=True) for q in items) for key, items in model.mechanism.items()
+        key: tuple(replace(q, free=q.free or key in names) for q in items)
+        for key, items in model.mechanism.items()
     }
     return replace(model, mechanism=mechanism)

@@ -24,6 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.external.columns import Columns, Parameters
+from zendsp.diagnosis.external.dry_inside import DryInside
+from zendsp.diagnosis.external.likeness import alike_to, basis_of
 from zendsp.diagnosis.external.numbers import folded
 from zendsp.diagnosis.external.simulator import Simulator
 from zendsp.diagnosis.progress import Progress, Step
@@ -55,10 +57,10 @@ STATES_ASKED = 48  # at which a simulator is asked whether it is a rigid body
 # its numbers is off by 1e-4, one by masses and lengths that are off by a tenth, by 3e-2
 BENT = 1e-3
 REVERSES = 0.1  # of the speed: slower is a reversal
+# of the speed: where there is dry friction inside, a slower joint is asked for at this speed, both
+# ways. It passes 0.02 of it in the rows of an answer, at 2 Hz and 1 ms
+SLIDES = 0.05
 NOT_ITS_OWN = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
-# cosine of the torques of a number and of an effect: a viscosity's was 0.9995 in the impacts of a
-# backlash, beside which it had gone to 0, and a viscous friction was claimed in its place
-SAME_SHAPE = 0.999
 MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
 
 
@@ -135,8 +137,8 @@ class Called:
         Whether a joint (from 0) feels a number.
     does : set
         Effects, each with its joint (from 1), that a free number is by another name.
-    dry : tuple of float
-        Dry friction of each joint inside the simulator, N m or N; empty where nobody asked.
+    dry : DryInside
+        The dry friction inside the simulator, without which its torques are given.
     """
 
     model: Model
@@ -152,7 +154,7 @@ class Called:
     in_mass: dict[str, bool] = field(default_factory=dict)
     feels: dict[tuple[str, int], bool] = field(default_factory=dict)
     does: set[tuple[str, int]] = field(default_factory=set)
-    dry: tuple[float, ...] = ()
+    dry: DryInside = field(default_factory=DryInside)
     seconds: float = math.inf  # a state takes, with its restart: the shortest, whatever else runs
     asked: int = 0  # states that the present motion needs
     begun: int = 0  # ``calls`` before it
@@ -195,10 +197,8 @@ class Called:
 
     def masses(self, position: Array) -> Array:
         """Mass matrices at some positions (n, joints), in passing: (n, joints, joints)."""
-        speed = np.gradient(position, axis=0) if len(position) > 1 else np.zeros_like(position)
-        size = float(np.abs(speed).max()) or 1.0  # some motion, so that nothing sticks
-        state = State(position, speed / size, np.zeros_like(position))
-        return self._body(state, np.zeros_like(position), self.numbers())[0]
+        still = np.zeros_like(position)
+        return self._body(self._sliding(State(position, still, still)), still, self.numbers())[0]
 
     def _along(self, motion: State) -> list[dict[str, Basis]]:
         n, rows = len(motion), np.arange(len(motion))
@@ -211,20 +211,19 @@ class Called:
             return _between(poses, values, rows)
 
         mass = everywhere(near.mass)
-        torque = self._torque(motion, everywhere(near.torque), mass)
+        torque = everywhere(near.torque - self._rubbing(near.at.qd))
+        torque = self._torque(motion, torque, mass)
         slope = everywhere(np.stack([self._slope(near, j) for j in range(self.joints)], axis=1))
         changes = {}
         for key in self.free:
-            asked = self._moved(near, key)
-            dm, dh = (everywhere(x) for x in asked)
-            _switch(dh, motion.qd, asked[1], near.at.qd)
+            dm, dh = (everywhere(x) for x in self.moved(near, key))
             changes[key] = dm, _times(dm, motion.qdd) + dh
         out = []
         for j in range(self.joints):
             own = {k: (dm[:, j, j], dt[:, j]) for k, (dm, dt) in changes.items()}
             felt = {k: x for k, x in own.items() if self._feels(k, j, x[1], torque[:, j])}
-            self.does |= {(e, j + 1) for x in felt.values() for e in _alike_to(motion, j, *x)}
-            out.append(_basis(motion.qdd[:, j], mass[:, j, j], torque[:, j], felt, self.about))
+            self.does |= {(e, j + 1) for x in felt.values() for e in alike_to(motion, j, *x)}
+            out.append(basis_of(motion.qdd[:, j], mass[:, j, j], torque[:, j], felt, self.about))
             fixed = out[-1]["fixed"]
             out[-1]["fixed"] = replace(fixed, slope=np.ascontiguousarray(slope[:, j]))
         return out
@@ -254,7 +253,8 @@ class Called:
         return max(1, round(slow * apart / self.sample_time))
 
     def near(self, at: State) -> Near:
-        """What the simulator is in some states."""
+        """What the simulator is in some states, where its joints slide."""
+        at = self._sliding(at)
         first, rest, _ = self._body(at, np.zeros_like(at.q), self.numbers())
         torque = _times(first, at.qdd) + rest
         plain, *_ = self._body(at, torque, self.numbers())
@@ -297,7 +297,7 @@ class Called:
         out: Array = -_times(near.mass, there - near.answer)[:, j] / off
         return out
 
-    def _moved(self, near: Near, key: str) -> tuple[Array, Array]:
+    def moved(self, near: Near, key: str) -> tuple[Array, Array]:
         """Derivatives of the mass matrix (n, joints, joints) and of the torque without acceleration
         (n, joints) by a free number.
         """
@@ -326,7 +326,7 @@ class Called:
         near = self.near(self.probe)
         torque = near.torque.copy()
         for key in self.free:
-            dm, dh = self._moved(near, key)
+            dm, dh = self.moved(near, key)
             torque += (values[key] - self.about[key]) * (_times(dm, near.at.qdd) + dh)
         numbers = self.numbers(**{k: values[k] for k in self.free})
         mass, rest, _ = self._body(near.at, torque, numbers, near.plain)
@@ -340,7 +340,7 @@ class Called:
         near = self.near(at)
         moved = {}
         for key in self.free:
-            dm, dh = self._moved(near, key)
+            dm, dh = self.moved(near, key)
             moved[key] = (_times(dm, near.at.qdd) + dh) / self.torque
         columns = [self.about[key] * x.T.ravel() for key, x in moved.items()]
         for j in range(self.joints):
@@ -371,15 +371,13 @@ class Called:
         self.about |= values
         self.known.clear()
 
-    # ---- the simulator
-
     def _torque(self, motion: State, torque: Array, mass: Array) -> Array:
         """The torque that the simulator needs at every row, (n, joints)."""
         n = len(motion)
         starts, most = np.arange(0, n, self._run), self._run
         numbers, out = self.numbers(), torque.copy()
         rows = np.minimum(starts[:, None] + np.arange(most), n - 1)
-        held = torque[rows].mean(axis=1)
+        held = (torque + self._rubbing(motion.qd))[rows].mean(axis=1)
         for count in np.unique(np.minimum(most, n - starts)):
             some = np.minimum(most, n - starts) == count
             at = rows[some][:, :count]
@@ -387,7 +385,62 @@ class Called:
             came = np.diff(answer, 2, axis=1) / self.sample_time**2  # (windows, count, joints)
             off = motion.qdd[at] - came
             out[at] = held[some][:, None] + np.einsum("wcij,wcj->wci", mass[at], off)
+        out -= self._rubbing(motion.qd)
+        near = self._turns(motion.qd)
+        if near.any():
+            out[near] = self._turning(motion.at(near), torque[near], mass[near])
         return out
+
+    # ---- dry friction inside
+
+    @property
+    def _levels(self) -> Array:
+        return np.array(self.dry.levels or np.zeros(self.joints), dtype=np.float64)
+
+    def _slow(self, qd: Array) -> npt.NDArray[np.bool_]:
+        """Where joints with dry friction inside are so slow that they may stick, (n, joints)."""
+        slow: npt.NDArray[np.bool_] = np.abs(qd) < SLIDES * np.std(self.probe.qd, axis=0)
+        return slow & (self._levels > 0.0)
+
+    def _sliding(self, at: State) -> State:
+        """States in which no joint may stick: slow ones move a little faster, their own way."""
+        slow, least = self._slow(at.qd), SLIDES * np.std(self.probe.qd, axis=0)
+        return replace(at, qd=np.where(slow, np.where(at.qd < 0.0, -least, least), at.qd))
+
+    def _rubbing(self, qd: Array) -> Array:
+        """Torque of the dry friction inside, (n, joints)."""
+        out: Array = self._levels * np.where(qd < 0.0, -1.0, 1.0)
+        return out
+
+    def _turns(self, qd: Array) -> npt.NDArray[np.bool_]:
+        """The rows whose simulation has a joint in it that may stick, (n,)."""
+        slow, reach = self._slow(qd).any(axis=1), self._run + 1
+        return np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
+
+    def _turning(self, at: State, torque: Array, mass: Array) -> Array:
+        """The torque of the motion without dry friction where joints turn, (n, joints): on the line
+        through the two of its both directions.
+        """
+
+        def asked(there: State, torque: Array, mass: Array) -> Array:
+            rubbing = self._rubbing(there.qd)
+            came = self.accelerations(there, torque + rubbing, self.numbers())
+            # a simulator that gets the torque of the motion passes it; what it falls behind is told
+            return torque + _times(mass, there.qdd - came)
+
+        slow, there = self._slow(at.qd), self._sliding(at)
+        here = asked(there, torque, mass)
+        out = here.copy()
+        for j in np.flatnonzero(slow.any(axis=0)):
+            rows = slow[:, j]
+            other = there.at(rows)
+            other.qd[:, j] *= -1.0
+            back = asked(other, torque[rows], mass[rows])
+            part = 0.5 * (1.0 - at.qd[rows, j] / there.qd[rows, j])
+            out[rows] += part[:, None] * (back - here[rows])
+        return out
+
+    # ---- the simulator, a few rows at a time
 
     def accelerations(self, at: State, torque: Array, numbers: Parameters) -> Array:
         """Acceleration in some states under a torque, (n, joints)."""
@@ -439,58 +492,6 @@ class Called:
         tenths = min(10, 10 * done // max(self.asked, 1))
         bar = "█" * tenths + "░" * (10 - tenths)
         self.tell(Step.READING.says(f"asking the simulator along the motion {bar} {done} states"))
-
-
-def _basis(
-    qdd: Array,
-    mass: Array,
-    torque: Array,
-    changes: Mapping[str, tuple[Array, Array]],
-    values: Mapping[str, float],
-) -> dict[str, Basis]:
-    """The coefficients of one joint: what is left of inertia and torque where all free numbers are
-    0, and how they change with each.
-    """
-    inertia, bias, out = mass.copy(), torque - mass * qdd, {}
-    for key, (dm, dt) in changes.items():
-        rest = dt - dm * qdd
-        inertia -= values[key] * dm
-        bias -= values[key] * rest
-        out[key] = Basis(np.ascontiguousarray(dm), np.ascontiguousarray(rest))
-    return {"fixed": Basis(inertia, bias), **out}
-
-
-def _alike_to(motion: State, j: int, mass: Array, torque: Array) -> list[str]:
-    """The effects that have the torque (n,) of a number at a joint (from 0), by their names."""
-    qd, qdd = motion.qd[:, j], motion.qdd[:, j]
-    # not of position: a spring and gravity are alike in small motions, and can be told apart
-    shapes = {"torque_offset": np.ones_like(qd), "viscous": qd}
-    if np.any(mass):
-        shapes = {"inertia": qdd}
-    found = [name for name, shape in shapes.items() if _same_shape(shape, torque)]
-    dry = not np.any(mass) and _follows_direction(torque, qd)
-    return [*found, "coulomb"] if dry else found
-
-
-def _switch(torque: Array, speed: Array, asked: Array, there: Array) -> None:
-    """Let a torque (n, joints) that is joined from states, in which it is ``asked``, switch where
-    the speed does, if it follows a joint's direction alone: a spline overshoots by a fifth there.
-    """
-    for j in range(torque.shape[1]):
-        if _follows_direction(asked[:, j], there[:, j]):
-            level = float(np.median(asked[:, j] * np.sign(there[:, j])))
-            torque[:, j] = level * np.sign(speed[:, j])
-
-
-def _follows_direction(torque: Array, speed: Array) -> bool:
-    """Whether a torque (n,) is a dry friction; where the joint stands, that may be anything."""
-    moves = np.abs(speed) > REVERSES * float(np.std(speed))
-    return _same_shape(np.sign(speed[moves]), torque[moves])
-
-
-def _same_shape(one: Array, other: Array) -> bool:
-    size = float(np.linalg.norm(one)) * float(np.linalg.norm(other))
-    return abs(float(one @ other)) > SAME_SHAPE * size
 
 
 def _times(mass: Array, x: Array) -> Array:

@@ -5,16 +5,20 @@ torque, and has no memory but position and speed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.regression import look
 from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.external.dry_inside import DryInside
+from zendsp.diagnosis.external.likeness import same_shape
 from zendsp.diagnosis.external.numbers import expanded
 from zendsp.diagnosis.external.rigid import (
     AGREES,
     BENT,
+    NOT_ITS_OWN,
     PUSHED,
     REVERSES,
     RIGID_SHARE,
@@ -35,6 +39,8 @@ STARTS_AT = 1e-6  # of the range: a simulator begins this near to where it is to
 SPEED_AT = 0.1  # of the speed: and as near to the speed
 ANEW_AFTER = 0.02  # s: after which it is started anew from where it is
 NUMBERS_TRIED = 0.1  # of the numbers: whether the torque is linear in them
+# of the speed: slower joints are made faster in states at which a simulator is asked what it is
+MOVES = 0.3
 STATES_FITTED = 300  # states to which numbers are fitted roughly
 FITS = 2  # the second about the numbers of the first
 # of a joint's torque: less is no dry friction, since rigid bodies differ by up to 0.4 %
@@ -53,10 +59,11 @@ def rigid(
         return None
     states = _states(s)
     some = _spread(states, STATES_ASKED)
+    probe = states.at(some)
     names = expanded(model)
     values = {k: q[0].value for k, q in names.mechanism.items()}
     torque = np.abs(gains) * effort
-    called = Called(names, simulator, s.sample_time, torque, states.at(some), values, tell)
+    called = Called(names, simulator, s.sample_time, torque, _moving(probe), values, tell)
     try:
         if not _is_rigid(called, called.probe, gains * s.command[some]):
             return None
@@ -64,14 +71,15 @@ def rigid(
         if model.kind == "fmu":  # whose process is gone
             raise
         return None
-    _straighten(called, s, gains)
     called.dry = dry_inside(called)
+    called.model = called.dry.added_to(names)
+    _straighten(called, s, gains)
     return called
 
 
-def dry_inside(called: Called) -> tuple[float, ...]:
-    """The dry friction of each joint inside a simulator, N m or N: half of what its torque changes
-    by with the direction, at two low speeds and from these at none.
+def dry_inside(called: Called) -> DryInside:
+    """The dry friction inside a simulator: half of what the torque of each joint changes by with
+    the direction, at two low speeds and from these at none.
     """
     near, out = called.near(called.probe), []
     for j in range(called.joints):
@@ -89,7 +97,36 @@ def dry_inside(called: Called) -> tuple[float, ...]:
             levels.append(0.5 * float(np.median(change)))
         level = 2.0 * levels[0] - levels[1]
         out.append(level if level > RUBS_INSIDE * called.torque[j] else 0.0)
-    return tuple(out)
+    return DryInside(tuple(out), _numbers(called, out) if any(out) else {})
+
+
+def _numbers(called: Called, levels: list[float]) -> dict[str, tuple[float, ...]]:
+    """What a unit of each number adds to dry friction, of those that do nothing else."""
+    near, out = called.near(called.probe), {}
+    for key, items in called.model.mechanism.items():
+        value = items[0].value
+        if not value:
+            continue
+        change, rest = called.moved(near, key)
+        felt = abs(value) * np.sqrt(np.mean(rest**2, axis=0)) > NOT_ITS_OWN * called.torque
+        way = np.sign(near.at.qd)
+        if np.any(change) or not any(felt):
+            continue
+        if not all(same_shape(way[:, j], rest[:, j]) for j in np.flatnonzero(felt)):
+            continue
+        units = np.median(rest * way, axis=0) * felt
+        if all(level > 0.0 for level, unit in zip(levels, units, strict=True) if unit):
+            out[key] = tuple(float(u) for u in units)
+    return out
+
+
+def _moving(states: State) -> State:
+    """The states with slow joints moving, their own way: where friction inside makes them stick or
+    turn, a push is answered by less than the body.
+    """
+    least = MOVES * np.std(states.qd, axis=0)
+    qd = np.where(states.qd < 0.0, np.minimum(states.qd, -least), np.maximum(states.qd, least))
+    return replace(states, qd=qd)
 
 
 def _spread(states: State, count: int) -> npt.NDArray[np.int64]:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from zendsp.diagnosis.data.split import read_divided
+from zendsp.diagnosis.decide.contract import listed
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.external.blackbox import diagnose_simulator
 from zendsp.diagnosis.external.inner_body import without_parts
@@ -23,6 +24,11 @@ from zendsp.physics.term_numbers import kernel_model
 ENDED_ANEW = (
     "Ctrl-C ended the diagnosis when it had begun once more; a wrong body inside the simulator was"
     " not asked for"
+)
+
+STAYS = (
+    "the simulator has dry friction of its own at {} that is more than what was found there, and no"
+    " number of [mechanism.parameters] sets it: model.toml cannot take it away"
 )
 
 Sources = tuple[Sequence[Any], Sequence[Any]]
@@ -85,7 +91,9 @@ def _found(
     given = called.model
     first = straight(given)
     try:
-        return first if first.stopped else without_parts(first, given, straight)
+        return first if first.stopped else without_parts(
+            first, given, straight, called.dry.numbers
+        )
     except KeyboardInterrupt:
         if not so_far:
             raise
@@ -94,21 +102,23 @@ def _found(
 
 def _without_simulator(d: Diagnosis, called: Called, given: Model) -> Diagnosis:
     """The diagnosis with models as files give them."""
-    note = (
+    notes = [
         f"black box: {called.calls} simulations of a few rows, from the states of the motion;"
         " payloads and other bodies inside it cannot be tried"
-    )
+    ]
     free = {k: [q.free for q in items] for k, items in given.mechanism.items()}
 
     def named(model: Model) -> Model:
-        plain = as_given(model)
+        plain = as_given(called.dry.taken_from(model, given)[0])
         mechanism = {
             key: tuple(replace(q, free=f) for q, f in zip(items, free[key], strict=True))
             for key, items in plain.mechanism.items()
         }
         return replace(plain, mechanism=mechanism)
 
+    if stays := called.dry.taken_from(d.improved, given)[1]:
+        notes.append(STAYS.format(listed(stays)))
     return replace(
         d, given=named(d.given), calibrated=named(d.calibrated), improved=named(d.improved),
-        notes=(*d.notes, note),
+        notes=(*d.notes, *notes),
     )  # fmt: skip
