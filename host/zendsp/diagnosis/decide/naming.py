@@ -33,7 +33,7 @@ from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit
-from zendsp.physics.calibration.joint import mechanism_value
+from zendsp.physics.calibration.joint import mechanism_value, own_weight
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import TREES, Model, Term
 from zendsp.physics.term_numbers import chosen
@@ -190,7 +190,7 @@ def _finding(
             if weight_of_payload(given, decision.final.model, t)
         ]
         if weight:
-            grown = _grown(whole.agreed[joint], weight[0], given.torque_unit(joint))
+            grown = _grown(whole.agreed[joint], weight[0], given)
             if abs(grown.value) > grown.std:
                 text += f" It weighs: gravity grows by {number(grown)} with it."
                 numbers["details"] = {"weight": grown.value}
@@ -252,10 +252,11 @@ def _replaced(given: Model, claim: Claim, joint: int) -> tuple[str, ...]:
     return tuple(e for e in claim.replaces if any(t.effect == e for t in given.at(joint)))
 
 
-def _grown(fit: Fit, gravity: Term, unit: str) -> Estimate:
+def _grown(fit: Fit, gravity: Term, given: Model) -> Estimate:
     """The growth of gravity by a body, N m."""
+    unit, own = given.torque_unit(gravity.joint), own_weight(given, gravity.joint)
     torque = estimates(fit, gravity, "rotary", "", unit)["torque"]
-    hangs = math.cos(gravity.value("angle"))
+    hangs = math.cos(gravity.value("angle") - (own[1] if own else 0.0))
     return Estimate(torque.value * hangs, torque.std * abs(hangs), unit)
 
 

@@ -50,6 +50,7 @@ from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.simplify import SIMPLER_COST, hopeless
 from zendsp.physics.calibration.fit import Data, joint_handles
+from zendsp.physics.calibration.joint import own_weight
 from zendsp.physics.calibration.predict import run, trace
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term, per_joint
@@ -79,13 +80,10 @@ def weight_of_payload(given: Model, final: Model, term: Term) -> bool:
     finding.
     """
     found = {t.effect for t in new_terms(given, final, term.joint)}
-    hangs = any(q.value for q in given.mechanism.get("gravity", ()))
-    return (
-        term.effect == "gravity"
-        and "inertia" in found
-        and hangs
-        and abs(math.sin(term.value("angle"))) < HANGING
-    )
+    if term.effect != "gravity" or "inertia" not in found:
+        return False
+    own = own_weight(given, term.joint)
+    return own is not None and abs(math.sin(term.value("angle") - own[1])) < HANGING
 
 
 def taken_away(given: Model, final: Model, joint: int, terms: Sequence[Term]) -> Model:

@@ -72,7 +72,7 @@ def without_parts(
         k for k, q in given.mechanism.items() if q[0].value and not q[0].free and k not in terms
     ]
     if held:
-        again = diagnose(freed(given, held))
+        again = diagnose(freed(given, terms))
         if len(again.findings) < len(d.findings) and not _may_be_a_body(again):
             rest = "less is left" if again.findings or again.unexplained else "nothing is left"
             joints = listed({f.joint for f in like_parts(d)})
@@ -98,10 +98,10 @@ def _calibrated(table: FitTable) -> FitTable:
     return replace(table, improved=table.calibrated)
 
 
-def freed(model: Model, names: Collection[str]) -> Model:
-    """The model with some of its numbers free."""
+def freed(model: Model, terms: Collection[str]) -> Model:
+    """The model with all its numbers free, but those that are terms."""
     mechanism = {
-        key: tuple(replace(q, free=q.free or key in names) for q in items)
+        key: tuple(replace(q, free=key not in terms) for q in items)
         for key, items in model.mechanism.items()
     }
     return replace(model, mechanism=mechanism)

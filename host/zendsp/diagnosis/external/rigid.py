@@ -137,6 +137,8 @@ class Called:
         Whether a joint (from 0) feels a number.
     does : set
         Effects, each with its joint (from 1), that a free number is by another name.
+    weight : tuple of float or None
+        Of a simulator of one joint: its gravity torque, N m, and where it hangs, rad.
     dry : DryInside
         The dry friction inside the simulator, without which its torques are given.
     """
@@ -154,6 +156,7 @@ class Called:
     in_mass: dict[str, bool] = field(default_factory=dict)
     feels: dict[tuple[str, int], bool] = field(default_factory=dict)
     does: set[tuple[str, int]] = field(default_factory=set)
+    weight: tuple[float, float] | None = None
     dry: DryInside = field(default_factory=DryInside)
     seconds: float = math.inf  # a state takes, with its restart: the shortest, whatever else runs
     asked: int = 0  # states that the present motion needs

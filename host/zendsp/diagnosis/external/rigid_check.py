@@ -4,6 +4,7 @@ torque, and has no memory but position and speed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.regression import look
 from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.decide.contract import listed
 from zendsp.diagnosis.external.dry_inside import DryInside
 from zendsp.diagnosis.external.likeness import same_shape
 from zendsp.diagnosis.external.numbers import expanded
@@ -25,6 +27,7 @@ from zendsp.diagnosis.external.rigid import (
     ROWS_EACH,
     STATES_ASKED,
     Called,
+    Near,
     State,
 )
 from zendsp.diagnosis.external.simulator import Simulator
@@ -45,34 +48,45 @@ STATES_FITTED = 300  # states to which numbers are fitted roughly
 FITS = 2  # the second about the numbers of the first
 # of a joint's torque: less is no dry friction, since rigid bodies differ by up to 0.4 %
 RUBS_INSIDE = 0.005
+OUT_OF_PROPORTION = (
+    "does not answer twice a push with twice the acceleration (joint {joint}: off by {by:.2g} of"
+    " the answer in {states} of {of} states, at most {most:g})"
+)
+REMEMBERS = (
+    "has a lag, a delay, a spring or the like inside: {late:g} s after a push it accelerates"
+    " otherwise than one that starts there (joint {joint}: by {by:.2g} of the push in {states} of"
+    " {of} states, at most {most:g})"
+)
 
 
 def rigid(
     signals: Sequence[Signals], model: Model, simulator: Simulator, tell: Progress
-) -> Called | None:
-    """A simulator as a rigid body; None where it is none, or does not start where it is told."""
+) -> Called | str:
+    """A simulator as a rigid body; or why it is none, in words that follow its name."""
     s = signals[0]
     joints = range(s.position.shape[1])
     gains = np.array([per_joint(model.actuator.gain, j + 1, 1.0) for j in joints])
     effort = np.sqrt(np.mean(np.concatenate([x.command for x in signals]) ** 2, axis=0))
     if not np.all(effort > 0):
-        return None
+        return f"is given no command at {listed(np.flatnonzero(effort <= 0) + 1)}"
     states = _states(s)
     some = _spread(states, STATES_ASKED)
-    probe = states.at(some)
     names = expanded(model)
     values = {k: q[0].value for k, q in names.mechanism.items()}
     torque = np.abs(gains) * effort
-    called = Called(names, simulator, s.sample_time, torque, _moving(probe), values, tell)
+    probe = _moving(states.at(some))
+    called = Called(names, simulator, s.sample_time, torque, probe, values, tell)
     try:
-        if not _is_rigid(called, called.probe, gains * s.command[some]):
-            return None
-    except ModelError:  # a function may need more rows than three
+        why = _unlike_a_body(called, called.probe, gains * s.command[some])
+    except ModelError as error:
         if model.kind == "fmu":  # whose process is gone
             raise
-        return None
+        why = f"cannot be called for a few rows ({error})"
+    if why:
+        return why
     called.dry = dry_inside(called)
     called.model = called.dry.added_to(names)
+    called.weight = weight_inside(called)
     _straighten(called, s, gains)
     return called
 
@@ -87,17 +101,37 @@ def dry_inside(called: Called) -> DryInside:
         for times in (1.0, 2.0):
             qd = np.zeros_like(near.at.qd)
             qd[:, j] = times * REVERSES * float(np.std(near.at.qd[:, j]))
-            there, back = (
-                called.accelerations(
-                    State(near.at.q, way * qd, 0.0 * qd), near.torque, called.numbers()
-                )
-                for way in (1.0, -1.0)
-            )
+            there, back = (_answer(called, near, way * qd) for way in (1.0, -1.0))
             change = np.einsum("ni,ni->n", near.mass[:, j], back - there)
             levels.append(0.5 * float(np.median(change)))
         level = 2.0 * levels[0] - levels[1]
         out.append(level if level > RUBS_INSIDE * called.torque[j] else 0.0)
     return DryInside(tuple(out), _numbers(called, out) if any(out) else {})
+
+
+def _answer(called: Called, near: Near, qd: Array) -> Array:
+    """The accelerations with other speeds (n, joints), by the torques of the motion."""
+    at = State(near.at.q, qd, np.zeros_like(qd))
+    came = called.accelerations(at, near.torque, called.numbers())
+    return called.accelerations(replace(at, qdd=came), near.torque, called.numbers())
+
+
+def weight_inside(called: Called) -> tuple[float, float] | None:
+    """The weight inside a simulator of one joint that turns, N m, and the position at which it
+    hangs, rad; None where it has none.
+    """
+    if called.joints > 1 or called.model.joint_kind(1) == "linear":
+        return None
+    near = called.near(called.probe)
+    both = [_answer(called, near, way * near.at.qd)[:, 0] for way in (1.0, -1.0)]
+    # friction is against either
+    still = near.torque[:, 0] - near.mass[:, 0, 0] * 0.5 * (both[0] + both[1])
+    q = near.at.q[:, 0]
+    shapes = np.stack([np.sin(q), np.cos(q), np.ones_like(q)], axis=1)
+    along, across, _ = np.linalg.lstsq(shapes, still, rcond=1e-9)[0]
+    torque = math.hypot(along, across)
+    weighs = torque > RUBS_INSIDE * called.torque[0]
+    return (torque, math.atan2(-across, along)) if weighs else None
 
 
 def _numbers(called: Called, levels: list[float]) -> dict[str, tuple[float, ...]]:
@@ -152,8 +186,10 @@ def _straighten(called: Called, s: Signals, gains: Array) -> None:
         called.move_to(called.calibrated(state.at(some), gains * slow.command.T[some]))
 
 
-def _is_rigid(called: Called, at: State, torque: Array) -> bool:
-    """Whether the simulator is a rigid body at most of some states, under the torques there."""
+def _unlike_a_body(called: Called, at: State, torque: Array) -> str:
+    """Why the simulator is no rigid body at most of some states, under the torques there; empty
+    where it is one.
+    """
     late = max(ROWS_EACH + 2, round(ANEW_AFTER / called.sample_time))
     base = called.simulated(at, torque, called.numbers(), late)
     if not np.isfinite(base).all():
@@ -161,9 +197,9 @@ def _is_rigid(called: Called, at: State, torque: Array) -> bool:
             f"{called.simulator.name}: gives positions that are no finite numbers, with the numbers"
             " of the model file and from states of the recording"
         )
-    if not _starts(called, at, base):
-        return False
-    good = np.ones(len(at), dtype=bool)
+    if why := _starts_elsewhere(called, at, base):
+        return why
+    off, memory = np.zeros((2, called.joints, len(at)))
     for j in range(called.joints):
         ways = []
         for times in (1.0, 2.0):
@@ -173,10 +209,21 @@ def _is_rigid(called: Called, at: State, torque: Array) -> bool:
         (push, once), (_, twice) = ways
         answers = [np.diff(w[:, :3] - base[:, :3], 2, axis=1)[:, 0] for w in (once, twice)]
         size = np.abs(answers[0]).max(axis=1)
-        off = np.abs(answers[0] - 0.5 * answers[1]).max(axis=1)
-        good &= (size > 0) & (off < AGREES * size)
-        good &= _forgets(called, push, once) < AGREES * size / called.sample_time**2
-    return bool(np.mean(good) >= RIGID_SHARE)
+        size[size == 0] = np.finfo(float).tiny
+        off[j] = np.abs(answers[0] - 0.5 * answers[1]).max(axis=1) / size
+        off[j][np.abs(answers[1]).max(axis=1) == 0] = 1.0  # a push that does nothing
+        memory[j] = _forgets(called, push, once) * called.sample_time**2 / size
+    good = np.maximum(off, memory).max(axis=0) < AGREES
+    if np.mean(good) >= RIGID_SHARE:
+        return ""
+    disagree = OUT_OF_PROPORTION, REMEMBERS
+    shares = [np.mean(x >= AGREES, axis=1) for x in (off, memory)]
+    which = int(shares[1].max() > shares[0].max())
+    j = int(np.argmax(shares[which]))
+    return disagree[which].format(
+        joint=j + 1, by=float(np.median((off, memory)[which][j])),
+        states=round(len(at) * float(shares[which][j])), of=len(at), most=AGREES, late=ANEW_AFTER,
+    )  # fmt: skip
 
 
 def _forgets(called: Called, torque: Array, way: Array) -> Array:
@@ -190,14 +237,26 @@ def _forgets(called: Called, torque: Array, way: Array) -> Array:
     return np.asarray(np.abs(anew - change).max(axis=1))
 
 
-def _starts(called: Called, at: State, answer: Array) -> bool:
-    """Whether simulations start at the position and the speed that they are told."""
+def _starts_elsewhere(called: Called, at: State, answer: Array) -> str:
+    """How simulations start elsewhere than at the position and the speed that they are told, in
+    words; empty where they do not.
+    """
     h = called.sample_time
     begun = at.q - at.qd * h + 0.5 * at.qdd * h**2
     span, speed = np.ptp(at.q, axis=0).max(), np.sqrt(np.mean(at.qd**2, axis=0))
-    off = np.sqrt(np.mean(((answer[:, 1] - answer[:, 0]) / h - at.qd) ** 2, axis=0))
-    there = np.abs(answer[:, 0] - begun).max() <= STARTS_AT * span
-    return bool(there and np.all(off <= SPEED_AT * speed))
+    away = np.abs(answer[:, 0] - begun).max(axis=0)
+    if np.any(away > STARTS_AT * span):
+        j = int(np.argmax(away))
+        unit = called.model.position_unit(j + 1)
+        return f"does not start where it is told (joint {j + 1}: up to {away[j]:.2g} {unit} away)"
+    off = np.sqrt(np.mean(((answer[:, 1] - answer[:, 0]) / h - at.qd) ** 2, axis=0)) / speed
+    if np.any(off > SPEED_AT):
+        j = int(np.argmax(off))
+        return (
+            f"does not start with the speed that it is told (joint {j + 1}: off by {off[j]:.0%},"
+            f" at most {SPEED_AT:.0%})"
+        )
+    return ""
 
 
 def _states(s: Signals) -> State:

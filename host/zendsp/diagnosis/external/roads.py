@@ -26,6 +26,10 @@ ENDED_ANEW = (
     " not asked for"
 )
 
+BY_OUTPUT = (
+    "compared by its positions, and not asked for its torques, with which more can be told: the"
+    " simulator {}"
+)
 STAYS = (
     "the simulator has dry friction of its own at {} that is more than what was found there, and no"
     " number of [mechanism.parameters] sets it: model.toml cannot take it away"
@@ -61,10 +65,11 @@ def diagnose_called(
     try:
         tell(Step.READING.says("asking the simulator whether it answers a torque at once"))
         called = rigid(read_divided(*sources, given)[0], given, simulator, tell)
-        if called is None:
-            return diagnose_simulator(
+        if isinstance(called, str):
+            d = diagnose_simulator(
                 sources[0], kernel_model(given), sources[1], simulator, progress=tell
             )
+            return replace(d, notes=(BY_OUTPUT.format(called), *d.notes))
         found = _found(called, so_far, lambda m: diagnose(sources, replace(m, called=called)))
         return _without_simulator(found, called, given)
     finally:

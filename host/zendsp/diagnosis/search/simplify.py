@@ -22,7 +22,7 @@ from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR, SIGNIFICANT
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, price
 from zendsp.physics.calibration.convergence import step_error, with_step_error
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
-from zendsp.physics.calibration.joint import facts, off_counts
+from zendsp.physics.calibration.joint import facts, off_counts, own_weight
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, is_supported, library
 from zendsp.physics.model import Model, Term
@@ -193,8 +193,8 @@ def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
-    gravity = best.model.mechanism.get("gravity", ())
-    if not {"torque_gain", "inertia"} <= set(new) or not any(q.value for q in gravity):
+    own = own_weight(best.model, found.joint)
+    if not {"torque_gain", "inertia"} <= set(new) or own is None:
         return best
     # what two simulators differ by is no body: gain and body exchange exactly, but for this inertia
     record = best.data.records[0][found.joint - 1]
@@ -205,8 +205,8 @@ def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     alone = _refitted(best.data, best.model.with_terms(rest), found.joint, jobs, 2)
     if alone.deviance < best.deviance + price((new["inertia"],), n):
         return best
-    weight = max(abs(q.value) for q in gravity) * max(abs(new["torque_gain"].value("ratio")), 0.01)
-    load = make_term(get_effect("gravity"), found.joint, {"torque": weight, "angle": 0.0})
+    torque = own[0] * max(abs(new["torque_gain"].value("ratio")), 0.01)
+    load = make_term(get_effect("gravity"), found.joint, {"torque": torque, "angle": own[1]})
     model = best.model.with_terms(
         (*(t for t in best.model.terms if t is not new["torque_gain"]), load)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -450,6 +451,17 @@ def mechanism_value(model: Model, key: str, joint: int) -> float:
     if not items:
         return 0.0
     return items[joint - 1].value if joint - 1 < len(items) else items[0].value
+
+
+def own_weight(model: Model, joint: int) -> tuple[float, float] | None:
+    """The gravity torque of a joint (1-based) that no other moves, N m, and the position at which
+    it hangs, rad; None where it has none, or it is a body of a chain.
+    """
+    if model.called is not None:
+        own: tuple[float, float] | None = model.called.weight
+        return own
+    torque = mechanism_value(model, "gravity", joint)
+    return (abs(torque), 0.0 if torque > 0.0 else math.pi) if torque else None
 
 
 def own_terms(terms: tuple[Term, ...]) -> tuple[Term, ...]:
