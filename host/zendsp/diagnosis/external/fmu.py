@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import signal
 import tempfile
+import time
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -31,10 +32,34 @@ from zendsp.recording.units import to_si
 
 Array = npt.NDArray[np.float64]
 
-DONE_ONE = ""  # what a worker says after each simulation, before its answer
+DONE_ONE = ""  # what a worker says after simulations, before its answer
+TELLS = 0.01  # s: it says so no sooner than this after it said so last
 TIME_LIMIT = 60.0  # s, for one recording or window; [mechanism] time_limit
 REAL = ("Real", "Float64")
 LOG = "said.txt"  # output of an FMU
+
+
+@dataclass(frozen=True)
+class Work:
+    """Simulations for a worker, in units of the FMU: one message, since a simulation of a few rows
+    takes less time than to send its recording.
+
+    Attributes
+    ----------
+    numbers : list of float
+        Parameters, the same for all.
+    begin : ndarray, shape (simulations, …)
+        The values of start_position and start_velocity.
+    command : list of ndarray, shape (rows, joints)
+        One for each; one array where all have as many rows.
+    steps : list of float
+        s
+    """
+
+    numbers: list[float]
+    begin: Array
+    command: Array | list[Array]
+    steps: list[float]
 
 
 @dataclass(frozen=True)
@@ -49,13 +74,15 @@ class Ports:
     units: Mapping[int, tuple[float, float]]  # by reference: SI = factor * value + offset
 
     def told(self, references: Sequence[int], values: Array) -> Array:
-        """Values in SI as the FMU wants them."""
+        """Values in SI as the FMU wants them, (…, references)."""
+        if not references:
+            return values[..., :0]
         factor, offset = np.array([self.units[r] for r in references]).T
         out: Array = (values - offset) / factor
         return out
 
     def said(self, values: Array) -> Array:
-        """Outputs of the FMU in SI."""
+        """Outputs of the FMU in SI, (…, joints)."""
         factor, offset = np.array([self.units[r] for r in self.outputs]).T
         out: Array = factor * values + offset
         return out
@@ -167,8 +194,23 @@ class Fmu:
         shares = np.array_split(np.arange(len(recordings)), len(self.workers))
         busy = [(w, share) for w, share in zip(self.workers, shares, strict=True) if len(share)]
         for worker, share in busy:
-            worker.send([recordings[i] for i in share], parameters)
-        return [out for worker, _ in busy for out in worker.receive()]
+            worker.send(self._work([recordings[i] for i in share], parameters))
+        return [self.ports.said(out) for worker, _ in busy for out in worker.receive()]
+
+    def _work(self, recordings: Sequence[Columns], parameters: Parameters) -> Work:
+        p = self.ports
+        q, qd = (
+            np.array([np.atleast_1d(x[0]) for x in values], dtype=np.float64)
+            for values in zip(*((r["position"], r["velocity"]) for r in recordings), strict=True)
+        )
+        begin = [p.told(p.start_position, q), p.told(p.start_velocity, qd)]
+        each = [np.asarray(r["command"], float).reshape(len(r["time"]), -1) for r in recordings]
+        alike = len({len(c) for c in each}) == 1
+        command = p.told(p.inputs, np.array(each)) if alike else [p.told(p.inputs, c) for c in each]
+        return Work(
+            [float(np.atleast_1d(parameters[name])[0]) for name in p.parameters],
+            np.concatenate(begin, axis=1), command, [float(r["sample_time"]) for r in recordings],
+        )  # fmt: skip
 
     def close(self) -> None:
         """End the processes and remove their folders."""
@@ -189,15 +231,15 @@ class _Worker:
         self.process.start()
         child.close()
 
-    def send(self, recordings: list[Columns], parameters: Parameters) -> None:
+    def send(self, work: Work) -> None:
         try:
-            self.pipe.send((recordings, dict(parameters)))
+            self.pipe.send(work)
         except OSError:
             raise self._crash() from None
 
     def receive(self) -> list[Array]:
-        answer = DONE_ONE
-        while answer == DONE_ONE:
+        answer: str | Sequence[Array] = DONE_ONE
+        while isinstance(answer, str) and answer == DONE_ONE:
             if not self.pipe.poll(self.fmu.limit):
                 self.process.kill()
                 raise ModelError(
@@ -246,15 +288,19 @@ def _serve(pipe: Any, other: Any, fmu: Fmu, folder: str) -> None:
     instance = None
     while True:
         try:
-            recordings, parameters = pipe.recv()
+            work = pipe.recv()
         except EOFError:
             os._exit(0)  # skips exit handlers of the FMU
         try:
-            instance = instance or _Instance(fmu, folder)
+            instance, told = instance or _Instance(fmu, folder), time.monotonic()
             answer: Any = []
-            for recording in recordings:
-                answer.append(instance.simulate(recording, parameters))
-                pipe.send(DONE_ONE)
+            for begin, command, step in zip(work.begin, work.command, work.steps, strict=True):
+                answer.append(instance.simulate([*work.numbers, *begin], command, step))
+                if (now := time.monotonic()) > told + TELLS:
+                    pipe.send(DONE_ONE)
+                    told = now
+            if not isinstance(work.command, list):
+                answer = np.array(answer)
         except Exception as error:
             answer, instance = " ".join(f"{type(error).__name__}: {error}".split()), None
         pipe.send(answer)
@@ -281,7 +327,7 @@ class _Instance:
 
     def _make(self) -> None:
         self.slave.instantiate()
-        self.fresh = True
+        self.fresh, self.calls = True, self._calls()
 
     def _again(self) -> None:
         """Return to the state before initialisation, by reset or by a new instance."""
@@ -301,36 +347,28 @@ class _Instance:
             put = self.slave.setFloat64 if self.three else self.slave.setReal
             put(list(references), [float(v) for v in values])
 
-    def simulate(self, recording: Columns, parameters: Parameters) -> Array:
-        """Position at every row, (n, joints)."""
+    def simulate(self, begin: Sequence[float], command: Array, step: float) -> Array:
+        """Output at every row, (n, joints), with values of the parameters and of the start."""
         s, p = self.slave, self.ports
-        command = np.asarray(recording["command"], float).reshape(len(recording["time"]), -1)
-        step = float(recording["sample_time"])
         self._again()
         self.fresh = False
         if not self.three:
             s.setupExperiment(startTime=0.0)
-        numbers = [*(np.atleast_1d(parameters[name])[0] for name in p.parameters)]
-        for at, values in (
-            (p.start_position, recording["position"]), (p.start_velocity, recording["velocity"]),
-        ):  # fmt: skip
-            numbers += [*p.told(at, np.atleast_1d(values[0]))] if at else []
         # at once: each call of an FMU's costs as much as a row of a small one
-        self._set((*p.parameters.values(), *p.start_position, *p.start_velocity), numbers)
+        self._set((*p.parameters.values(), *p.start_position, *p.start_velocity), begin)
         if self.three:
             s.enterInitializationMode(startTime=0.0)
         else:
             s.enterInitializationMode()
-        command = p.told(p.inputs, command)
         self._set(p.inputs, command[0])
         s.exitInitializationMode()
-        return p.said(self._replayed(command, step))
+        return self._replayed(command, step)
 
     def _replayed(self, command: Array, step: float) -> Array:
         """The outputs of all rows. A row costs three foreign calls and no fmpy objects, which would
         take ten times as long as a small FMU.
         """
-        get, put, do = self._calls()
+        get, put, do = self.calls
         told, said = (ctypes.c_double * command.shape[1])(), (ctypes.c_double * len(
             self.ports.outputs))()  # fmt: skip
         rows, out = command.tolist(), []

@@ -39,8 +39,12 @@ def incomplete_parts(d: Diagnosis) -> list[Finding]:
     """Those that leave at their joint what depends on its state, beyond the interval of the
     discrepancy.
     """
-    left = {x.joint for x in d.discrepancy if x.interval[0] > OF_STATE}
-    return [f for f in like_parts(d) if f.joint in left]
+    return [f for f in like_parts(d) if f.joint in _left(d)]
+
+
+def _left(d: Diagnosis) -> set[int]:
+    """The joints that leave what depends on their state."""
+    return {x.joint for x in d.discrepancy if x.interval[0] > OF_STATE}
 
 
 def _may_be_a_body(d: Diagnosis) -> bool:
@@ -80,8 +84,8 @@ def without_parts(
             unexplained = "\n".join(line for line in (said, again.unexplained) if line)
             verdict = Verdict.MISSING if again.findings else Verdict.UNEXPLAINED
             return replace(again, verdict=verdict, unexplained=unexplained)
-    parts = incomplete_parts(d)
-    if not parts or len(parts) < len(d.findings):
+    parts, left = incomplete_parts(d), _left(d)
+    if not parts or any(f.joint not in left for f in d.findings):
         return d
     joints = listed({f.joint for f in parts})
     names = ", ".join(dict.fromkeys(f.effect for f in parts))

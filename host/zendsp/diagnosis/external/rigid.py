@@ -94,8 +94,9 @@ class Near:
         Mass matrices (n, joints, joints), and torque without acceleration (n, joints).
     answer : ndarray, shape (n, joints)
         Acceleration by ``torque``.
-    plain : ndarray, shape (n, joints, joints)
-        Mass matrices where a pushed simulator begins as any other: with what its speed adds.
+    first : ndarray, shape (n, joints, joints)
+        Mass matrices where a pushed simulator begins as any other, under the torque of its dry
+        friction: with what its speed adds.
     good : ndarray, shape (states asked for,)
         Which of them these are.
     """
@@ -105,7 +106,7 @@ class Near:
     mass: Array
     rest: Array
     answer: Array
-    plain: Array
+    first: Array
     good: npt.NDArray[np.bool_]
 
 
@@ -244,8 +245,8 @@ class Called:
 
     def _needed(self, states: int) -> int:
         """Simulations for so many states."""
-        moved = sum(2 + self.joints * self.in_mass.get(k, True) for k in self.free)
-        return states * (3 * (1 + self.joints) + 1 + self.joints + moved)
+        moved = sum(2 + (1 + self.joints) * self.in_mass.get(k, True) for k in self.free)
+        return states * (2 * (1 + self.joints) + 1 + self.joints + moved)
 
     def _every(self, motion: State) -> int:
         """Rows between the states at which the mass matrix is asked for: fewer in a fast motion."""
@@ -258,15 +259,14 @@ class Called:
     def near(self, at: State) -> Near:
         """What the simulator is in some states, where its joints slide."""
         at = self._sliding(at)
-        first, rest, _ = self._body(at, np.zeros_like(at.q), self.numbers())
+        first, rest, _ = self._body(at, self._rubbing(at.qd), self.numbers())
         torque = _times(first, at.qdd) + rest
-        plain, *_ = self._body(at, torque, self.numbers())
-        mass, rest, answer = self._body(at, torque, self.numbers(), plain)
+        mass, rest, answer = self._body(at, torque, self.numbers(), first)
         good = _alike(first, mass)
         if np.mean(good) < RIGID_SHARE:
             good[:] = True
         return Near(
-            at.at(good), torque[good], mass[good], rest[good], answer[good], plain[good], good
+            at.at(good), torque[good], mass[good], rest[good], answer[good], first[good], good
         )
 
     def _body(
@@ -309,16 +309,20 @@ class Called:
         numbers = self.numbers(**{key: self.about[key] + step})
         if key not in self.in_mass:
             some = np.unique(np.linspace(0, len(at) - 1, STATES_ASKED).astype(int))
-            change = self._body(at.at(some), torque[some], numbers)[0] - near.plain[some]
+            change = self._first(near, numbers, some) - near.first[some]
             self.in_mass[key] = bool(np.abs(change).max() > MOVES_MASS * np.abs(near.mass).max())
-        if self.in_mass[key]:
-            plain, _, came = self._body(at, torque, numbers)
-            change = plain - near.plain  # what a pushed simulator's speed adds is in both
-        else:
-            came, change = self.accelerations(at, torque, numbers), np.zeros_like(near.mass)
+        change = np.zeros_like(near.mass)
+        if self.in_mass[key]:  # what a pushed simulator's speed adds is in both
+            change = self._first(near, numbers, np.arange(len(at))) - near.first
+        came = self.accelerations(at, torque, numbers)
         came = self.accelerations(replace(at, qdd=came), torque, numbers)
         rest = torque - _times(near.mass + change, came)
         return change / step, (rest - near.rest) / step
+
+    def _first(self, near: Near, numbers: Parameters, some: Any) -> Array:
+        """Mass matrices as ``Near.first`` with other numbers, at some of its states."""
+        at = near.at.at(some)
+        return self._body(at, self._rubbing(at.qd), numbers)[0]
 
     # ---- numbers in which the torque is not linear
 
@@ -332,7 +336,7 @@ class Called:
             dm, dh = self.moved(near, key)
             torque += (values[key] - self.about[key]) * (_times(dm, near.at.qdd) + dh)
         numbers = self.numbers(**{k: values[k] for k in self.free})
-        mass, rest, _ = self._body(near.at, torque, numbers, near.plain)
+        mass, rest, _ = self._body(near.at, torque, numbers, near.mass)
         off = torque - _times(mass, near.at.qdd) - rest
         return float(np.max(np.sqrt(np.mean(off**2, axis=0)) / self.torque))
 
