@@ -21,11 +21,11 @@ from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pieces import rubs
 from zendsp.diagnosis.decide.result import FitTable, Left
 from zendsp.diagnosis.external.columns import Columns, Parameters
-from zendsp.diagnosis.external.dry_inside import DryInside
+from zendsp.diagnosis.external.friction_inside import FrictionInside
 from zendsp.diagnosis.external.inner_body import without_parts
 from zendsp.diagnosis.external.numbers import as_given, expanded, folded
 from zendsp.diagnosis.external.rigid import BENT, Called, State
-from zendsp.diagnosis.external.rigid_check import dry_inside, rigid
+from zendsp.diagnosis.external.rigid_check import friction_inside, rigid
 from zendsp.errors import ModelError
 from zendsp.physics import load_model
 from zendsp.physics.model import Model, Quantity
@@ -136,34 +136,34 @@ def test_inertia_and_torque_of_a_simulator_are_those_of_its_equations() -> None:
     assert found[0]["a1"].inertia == pytest.approx(1.0, abs=1e-3)
     assert "a1" not in found[1] and "g1" not in found[1] and "b" not in found[0]
     # no effect of the library is tried where a free number does the same
-    assert ("viscous", 2) in simulator.does and ("inertia", 1) in simulator.does
-    assert ("viscous", 1) not in simulator.does and ("inertia", 2) not in simulator.does
+    assert simulator.does == {("inertia", 1)}
 
 
 @pytest.mark.parametrize("level", [0.0, 0.03])
-def test_the_dry_friction_inside_a_simulator_is_a_term_of_its_model(level: float) -> None:
+def test_the_friction_inside_a_simulator_is_a_term_of_its_model(level: float) -> None:
     """What lacked at standstill was a push where it was not; its own number is no law to find."""
     simulator = called(numbers={**ARM, "dry": level})
-    simulator.dry = inside = dry_inside(simulator)
-    assert inside.levels == pytest.approx((0.0, level), rel=0.01)
-    given = simulator.model
+    inside, given = friction_inside(simulator), simulator.model
+    assert inside.sizes["coulomb"] == pytest.approx((0.0, level), rel=0.01)
+    assert inside.sizes["viscous"] == pytest.approx((0.0, ARM["b"]), rel=0.02)
     model = inside.added_to(given)
     assert [rubs(model, joint) for joint in (1, 2)] == [False, level > 0.0]
-    assert [(t.effect, t.joint) for t in model.terms] == [("coulomb", 2)] * (level > 0.0)
+    dry = [("coulomb", 2)] * (level > 0.0)
+    assert [(t.effect, t.joint) for t in model.terms] == [*dry, ("viscous", 2)]
     assert inside.taken_from(model, given) == (replace(model, terms=()), [])
-    assert list(inside.numbers) == ["dry"] * (level > 0.0)
+    assert inside.names == {"b", *["dry"] * (level > 0.0)}
+    assert {k for k, q in model.mechanism.items() if q[0].free} == {"a1", "a2", "a3", "g1", "g2"}
 
 
 def test_the_friction_inside_takes_the_freedom_of_its_number_and_gives_it_back_its_value() -> None:
-    inside = DryInside((0.0, 0.03), {"dry": (0.0, 0.5)})
+    inside = FrictionInside({"coulomb": (0.0, 0.03)}, {"coulomb": {"dry": (0.0, 0.5)}})
     numbers = {"dry": (Quantity(0.06, free=True),), "m": (Quantity(1.0, free=True),)}
     given = Model("arm", H, "python", numbers)
     model = inside.added_to(given)
     (term,) = model.terms
     assert term.parameters["level"].free and not model.mechanism["dry"][0].free
     assert model.mechanism["m"][0].free
-    found = term_at(model, 0.04)
-    plain, stays = inside.taken_from(found, given)
+    plain, stays = inside.taken_from(term_at(model, 0.04), given)
     assert (plain.terms, stays) == ((), [])
     assert plain.mechanism["dry"][0].value == pytest.approx(0.08)
     fixed = {k: (replace(q[0], free=False),) for k, q in numbers.items()}
@@ -171,7 +171,7 @@ def test_the_friction_inside_takes_the_freedom_of_its_number_and_gives_it_back_i
 
 
 def test_friction_beside_that_inside_stays_a_term_of_its_own() -> None:
-    inside = DryInside((0.0, 0.03))
+    inside = FrictionInside({"coulomb": (0.0, 0.03)}, {"coulomb": {}})
     given = Model("arm", H, "python", {"m": (Quantity(1.0),)})
     beside = term_at(inside.added_to(given), 0.01)  # the user's own
     model = inside.added_to(beside)
@@ -194,8 +194,10 @@ def test_a_simulator_that_sticks_gives_the_torques_of_its_body() -> None:
     """Where it turned or stuck, they had been those of neither direction, and a complete simulator
     left 2 % of its torque.
     """
-    plain, sticks = called(), called(Sticking(), {**ARM, "dry": 0.03})
-    sticks.dry = dry_inside(sticks)
+    numbers = {**ARM, "dry": 0.03, "b": 0.0}
+    plain, sticks = called(numbers={**ARM, "b": 0.0}), called(Sticking(), numbers)
+    sticks.friction = friction_inside(sticks)
+    sticks.model = sticks.friction.added_to(sticks.model)
     state = motion(400)
     rows = list(np.stack([state.q, state.qd, state.qdd]).transpose(2, 0, 1))
     for j, (one, other) in enumerate(zip(plain.bases(rows), sticks.bases(rows), strict=True)):
@@ -261,6 +263,33 @@ def test_a_wrong_rotor_is_one_finding(tmp_path: Path) -> None:
     assert [f.effect for f in d.findings] == ["inertia"], d.findings
     amount = d.findings[0].parameters["amount"]
     assert amount.value == pytest.approx(0.0015, rel=0.01)
+
+
+def test_what_lacks_beside_dry_friction_that_a_simulator_has_is_named(tmp_path: Path) -> None:
+    """The simulator sticks, and what lacked there hid the rest: a function without a law was found
+    in place of viscous friction.
+    """
+    held = ", free = false }"
+    own = {"inertia": 0.01, "gravity": 0.2, "viscous": 0.0, "dry": 0.06}
+    parameters = "\n".join(f"{k} = {{ value = {v}{held}" for k, v in own.items())
+    machine = reality.Machine(gravity=0.2, coulomb=0.06)
+    train, test, model = files(tmp_path, machine, "sticks", parameters)
+    d = diagnose(train, model, test, jobs=1)
+    assert [f.effect for f in d.findings] == ["viscous"], d.findings
+    assert d.findings[0].parameters["coefficient"].value == pytest.approx(0.004, rel=0.1)
+    assert [t.effect for t in d.improved.terms] == ["viscous"], "the other is in the simulator"
+    assert d.improved.mechanism["dry"][0].value == 0.06 and d.given.terms == ()
+
+
+def test_more_inertia_and_weight_of_a_simulator_are_one_finding(tmp_path: Path) -> None:
+    """A payload had been a gravity and an inertia."""
+    fixed = OWN.replace(" }", ", free = false }").replace("0.0102", "0.01")
+    fixed = fixed.replace("0.206", "0.2").replace("0.0042", "0.004")
+    machine = reality.Machine(gravity=0.3, inertia=0.0125, coulomb=0.0)
+    train, test, model = files(tmp_path, machine, parameters=fixed)
+    d = diagnose(train, model, test, jobs=1)
+    assert [f.effect for f in d.findings] == ["inertia"], d.findings
+    assert "It weighs: gravity grows by 0.1" in d.findings[0].sentence
 
 
 def test_a_spring_is_one_finding(tmp_path: Path) -> None:

@@ -43,12 +43,10 @@ def basis_of(
 
 def alike_to(motion: State, j: int, mass: Array, torque: Array) -> list[str]:
     """The effects that have the torque (n,) of a number at a joint (from 0), by their names."""
-    qd, qdd = motion.qd[:, j], motion.qdd[:, j]
+    qdd = motion.qdd[:, j]
     # not of position: a spring and gravity are alike in small motions, and can be told apart
-    shapes = {"torque_offset": np.ones_like(qd), "viscous": qd}
-    if np.any(mass):
-        shapes = {"inertia": qdd}
-    return [name for name, shape in shapes.items() if same_shape(shape, torque)]
+    name, shape = ("inertia", qdd) if np.any(mass) else ("torque_offset", np.ones_like(qdd))
+    return [name] if same_shape(shape, torque) else []
 
 
 def same_shape(one: Array, other: Array) -> bool:

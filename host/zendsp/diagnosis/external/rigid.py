@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.external.columns import Columns, Parameters
-from zendsp.diagnosis.external.dry_inside import DryInside
+from zendsp.diagnosis.external.friction_inside import DRY, FrictionInside
 from zendsp.diagnosis.external.likeness import alike_to, basis_of
 from zendsp.diagnosis.external.numbers import folded
 from zendsp.diagnosis.external.simulator import Simulator
@@ -95,7 +95,7 @@ class Near:
     answer : ndarray, shape (n, joints)
         Acceleration by ``torque``.
     first : ndarray, shape (n, joints, joints)
-        Mass matrices where a pushed simulator begins as any other, under the torque of its dry
+        Mass matrices where a pushed simulator begins as any other, under the torque of its
         friction: with what its speed adds.
     good : ndarray, shape (states asked for,)
         Which of them these are.
@@ -140,8 +140,8 @@ class Called:
         Effects, each with its joint (from 1), that a free number is by another name.
     weight : tuple of float or None
         Of a simulator of one joint: its gravity torque, N m, and where it hangs, rad.
-    dry : DryInside
-        The dry friction inside the simulator, without which its torques are given.
+    friction : FrictionInside
+        What is inside the simulator, without which its torques are given.
     """
 
     model: Model
@@ -158,7 +158,7 @@ class Called:
     feels: dict[tuple[str, int], bool] = field(default_factory=dict)
     does: set[tuple[str, int]] = field(default_factory=set)
     weight: tuple[float, float] | None = None
-    dry: DryInside = field(default_factory=DryInside)
+    friction: FrictionInside = field(default_factory=FrictionInside)
     seconds: float = math.inf  # a state takes, with its restart: the shortest, whatever else runs
     asked: int = 0  # states that the present motion needs
     begun: int = 0  # ``calls`` before it
@@ -215,7 +215,7 @@ class Called:
             return _between(poses, values, rows)
 
         mass = everywhere(near.mass)
-        torque = everywhere(near.torque - self._rubbing(near.at.qd))
+        torque = everywhere(near.torque - self.friction.torque(near.at.qd))
         torque = self._torque(motion, torque, mass)
         slope = everywhere(np.stack([self._slope(near, j) for j in range(self.joints)], axis=1))
         changes = {}
@@ -259,7 +259,7 @@ class Called:
     def near(self, at: State) -> Near:
         """What the simulator is in some states, where its joints slide."""
         at = self._sliding(at)
-        first, rest, _ = self._body(at, self._rubbing(at.qd), self.numbers())
+        first, rest, _ = self._body(at, self.friction.torque(at.qd), self.numbers())
         torque = _times(first, at.qdd) + rest
         mass, rest, answer = self._body(at, torque, self.numbers(), first)
         good = _alike(first, mass)
@@ -322,7 +322,7 @@ class Called:
     def _first(self, near: Near, numbers: Parameters, some: Any) -> Array:
         """Mass matrices as ``Near.first`` with other numbers, at some of its states."""
         at = near.at.at(some)
-        return self._body(at, self._rubbing(at.qd), numbers)[0]
+        return self._body(at, self.friction.torque(at.qd), numbers)[0]
 
     # ---- numbers in which the torque is not linear
 
@@ -384,7 +384,7 @@ class Called:
         starts, most = np.arange(0, n, self._run), self._run
         numbers, out = self.numbers(), torque.copy()
         rows = np.minimum(starts[:, None] + np.arange(most), n - 1)
-        held = (torque + self._rubbing(motion.qd))[rows].mean(axis=1)
+        held = (torque + self.friction.torque(motion.qd))[rows].mean(axis=1)
         for count in np.unique(np.minimum(most, n - starts)):
             some = np.minimum(most, n - starts) == count
             at = rows[some][:, :count]
@@ -392,7 +392,7 @@ class Called:
             came = np.diff(answer, 2, axis=1) / self.sample_time**2  # (windows, count, joints)
             off = motion.qdd[at] - came
             out[at] = held[some][:, None] + np.einsum("wcij,wcj->wci", mass[at], off)
-        out -= self._rubbing(motion.qd)
+        out -= self.friction.torque(motion.qd)
         near = self._turns(motion.qd)
         if near.any():
             out[near] = self._turning(motion.at(near), torque[near], mass[near])
@@ -400,24 +400,15 @@ class Called:
 
     # ---- dry friction inside
 
-    @property
-    def _levels(self) -> Array:
-        return np.array(self.dry.levels or np.zeros(self.joints), dtype=np.float64)
-
     def _slow(self, qd: Array) -> npt.NDArray[np.bool_]:
         """Where joints with dry friction inside are so slow that they may stick, (n, joints)."""
         slow: npt.NDArray[np.bool_] = np.abs(qd) < SLIDES * np.std(self.probe.qd, axis=0)
-        return slow & (self._levels > 0.0)
+        return slow & (np.array(self.friction.sizes.get(DRY, 0.0)) > 0.0)
 
     def _sliding(self, at: State) -> State:
         """States in which no joint may stick: slow ones move a little faster, their own way."""
         slow, least = self._slow(at.qd), SLIDES * np.std(self.probe.qd, axis=0)
         return replace(at, qd=np.where(slow, np.where(at.qd < 0.0, -least, least), at.qd))
-
-    def _rubbing(self, qd: Array) -> Array:
-        """Torque of the dry friction inside, (n, joints)."""
-        out: Array = self._levels * np.where(qd < 0.0, -1.0, 1.0)
-        return out
 
     def _turns(self, qd: Array) -> npt.NDArray[np.bool_]:
         """The rows whose simulation has a joint in it that may stick, (n,)."""
@@ -425,12 +416,12 @@ class Called:
         return np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
 
     def _turning(self, at: State, torque: Array, mass: Array) -> Array:
-        """The torque of the motion without dry friction where joints turn, (n, joints): on the line
+        """The torque of the motion without friction where joints turn, (n, joints): on the line
         through the two of its both directions.
         """
 
         def asked(there: State, torque: Array, mass: Array) -> Array:
-            rubbing = self._rubbing(there.qd)
+            rubbing = self.friction.torque(there.qd)
             came = self.accelerations(there, torque + rubbing, self.numbers())
             # a simulator that gets the torque of the motion passes it; what it falls behind is told
             return torque + _times(mass, there.qdd - came)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.regression import look
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.contract import listed
-from zendsp.diagnosis.external.dry_inside import DryInside
+from zendsp.diagnosis.external.friction_inside import DRY, FLUID, FrictionInside, Sizes
 from zendsp.diagnosis.external.likeness import same_shape
 from zendsp.diagnosis.external.numbers import expanded
 from zendsp.diagnosis.external.rigid import (
@@ -46,7 +46,7 @@ NUMBERS_TRIED = 0.1  # of the numbers: whether the torque is linear in them
 MOVES = 0.3
 STATES_FITTED = 300  # states to which numbers are fitted roughly
 FITS = 2  # the second about the numbers of the first
-# of a joint's torque: less is no dry friction, since rigid bodies differ by up to 0.4 %
+# of a joint's torque: less is no friction, since rigid bodies differ by up to 0.4 %
 RUBS_INSIDE = 0.005
 OUT_OF_PROPORTION = (
     "does not answer twice a push with twice the acceleration (joint {joint}: off by {by:.2g} of"
@@ -84,29 +84,42 @@ def rigid(
         why = f"cannot be called for a few rows ({error})"
     if why:
         return why
-    called.dry = dry_inside(called)
-    called.model = called.dry.added_to(names)
+    called.friction = friction_inside(called)
+    called.model = called.friction.added_to(names)
     called.weight = weight_inside(called)
     _straighten(called, s, gains)
     return called
 
 
-def dry_inside(called: Called) -> DryInside:
-    """The dry friction inside a simulator: half of what the torque of each joint changes by with
-    the direction, at two low speeds and from these at none.
+def friction_inside(called: Called) -> FrictionInside:
+    """The friction inside a simulator: half of what the torque of each joint changes by with the
+    direction, at two low speeds and from these at none.
     """
-    near, out = called.near(called.probe), []
+    near = called.near(called.probe)
+    dry, fluid = np.zeros((2, called.joints))
     for j in range(called.joints):
-        levels = []
+        slow, halves = REVERSES * float(np.std(near.at.qd[:, j])), []
         for times in (1.0, 2.0):
             qd = np.zeros_like(near.at.qd)
-            qd[:, j] = times * REVERSES * float(np.std(near.at.qd[:, j]))
+            qd[:, j] = times * slow
             there, back = (_answer(called, near, way * qd) for way in (1.0, -1.0))
             change = np.einsum("ni,ni->n", near.mass[:, j], back - there)
-            levels.append(0.5 * float(np.median(change)))
-        level = 2.0 * levels[0] - levels[1]
-        out.append(level if level > RUBS_INSIDE * called.torque[j] else 0.0)
-    return DryInside(tuple(out), _numbers(called, out) if any(out) else {})
+            halves.append(0.5 * float(np.median(change)))
+        dry[j] = 2.0 * halves[0] - halves[1]
+        fluid[j] = (halves[1] - halves[0]) / slow
+    numbers, sizes = _numbers(called, near), {}
+    speed = np.sqrt(np.mean(near.at.qd**2, axis=0))
+    for effect, found, torque in ((DRY, dry, dry), (FLUID, fluid, fluid * speed)):
+        own = np.zeros(called.joints)
+        for key, units in numbers[effect].items():
+            own += called.about[key] * np.array(units)
+        size = np.where(torque > RUBS_INSIDE * called.torque, found, np.maximum(own, 0.0))
+        sizes[effect] = tuple(float(x) for x in size)
+        numbers[effect] = {
+            key: units for key, units in numbers[effect].items()
+            if all(x > 0.0 for x, unit in zip(size, units, strict=True) if unit)
+        }  # fmt: skip
+    return FrictionInside(sizes, numbers)
 
 
 def _answer(called: Called, near: Near, qd: Array) -> Array:
@@ -134,23 +147,22 @@ def weight_inside(called: Called) -> tuple[float, float] | None:
     return (torque, math.atan2(-across, along)) if weighs else None
 
 
-def _numbers(called: Called, levels: list[float]) -> dict[str, tuple[float, ...]]:
-    """What a unit of each number adds to dry friction, of those that do nothing else."""
-    near, out = called.near(called.probe), {}
+def _numbers(called: Called, near: Near) -> dict[str, dict[str, Sizes]]:
+    """By effect: what a unit of each number adds to friction, of those that do nothing else."""
+    shapes = {DRY: np.sign(near.at.qd), FLUID: near.at.qd}
+    out: dict[str, dict[str, Sizes]] = {effect: {} for effect in shapes}
     for key, items in called.model.mechanism.items():
         value = items[0].value
         if not value:
             continue
         change, rest = called.moved(near, key)
         felt = abs(value) * np.sqrt(np.mean(rest**2, axis=0)) > NOT_ITS_OWN * called.torque
-        way = np.sign(near.at.qd)
         if np.any(change) or not any(felt):
             continue
-        if not all(same_shape(way[:, j], rest[:, j]) for j in np.flatnonzero(felt)):
-            continue
-        units = np.median(rest * way, axis=0) * felt
-        if all(level > 0.0 for level, unit in zip(levels, units, strict=True) if unit):
-            out[key] = tuple(float(u) for u in units)
+        for effect, shape in shapes.items():
+            if all(same_shape(shape[:, j], rest[:, j]) for j in np.flatnonzero(felt)):
+                units = felt * (shape * rest).sum(axis=0) / (shape**2).sum(axis=0)
+                out[effect][key] = tuple(float(u) for u in units)
     return out
 
 
