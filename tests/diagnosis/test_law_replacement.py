@@ -137,6 +137,39 @@ def test_a_gain_beside_which_simulators_may_differ_by_the_inertia_is_no_payload(
     assert {t.effect for t in best.model.terms} == kept
 
 
+@pytest.mark.parametrize(
+    ("scaled", "kept"),
+    [(True, {"inertia", "gravity", "coulomb"}), (False, {"torque_gain", "gravity", "coulomb"})],
+)
+def test_a_weaker_drive_with_less_of_every_friction_is_a_payload(
+    monkeypatch: pytest.MonkeyPatch, scaled: bool, kept: set[str]
+) -> None:
+    """A payload of 0.15 kg on a pendulum had been a gain, a gravity and two other frictions."""
+    data = SimpleNamespace(records=[[SimpleNamespace(n=11)]])
+    monkeypatch.setattr(simplify, "facts", lambda _: SimpleNamespace(inertia=0.02))
+
+    def scored(model: Model) -> Any:
+        worse = any(t.effect == "inertia" for t in model.terms) and not scaled
+        return SimpleNamespace(model=model, data=data, deviance=1000.0 if worse else 0.0)
+
+    own = {"kind": "coulomb", "joint": 1, "level": {"value": 0.06, "free": False}}
+    mechanism = {"kind": "rotary", "parameters": {"inertia": 0.02, "gravity": 0.5}}
+    given = parse_model({"sample_time": 0.001, "mechanism": mechanism, "effect": [own]})
+    found: Any = SimpleNamespace(joint=1, base=scored(given))
+    terms = (
+        make_term(get_effect("coulomb"), 1, {"level": 0.04}),
+        make_term(get_effect("torque_gain"), 1, {"ratio": -1 / 3}),
+        make_term(get_effect("gravity"), 1, {"torque": 0.1, "angle": 0.0}),
+    )
+    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model))
+    best = simplify._as_inertia(found, scored(given.with_terms(terms)), 1000, 1)
+    assert {t.effect for t in best.model.terms} == kept
+    if scaled:
+        values = {t.effect: next(iter(t.parameters.values())).value for t in best.model.terms}
+        assert values == pytest.approx({"coulomb": 0.06, "inertia": 0.01, "gravity": 0.15})
+        assert best.model.terms[0] is given.terms[0], "the friction is as it was given"
+
+
 @pytest.mark.parametrize(("of_a_block", "released"), [(8.8, False), (40.0, True)])
 def test_an_exponent_is_not_fitted_to_one_moment_in_which_the_model_loses_track(
     monkeypatch: pytest.MonkeyPatch, of_a_block: float, released: bool

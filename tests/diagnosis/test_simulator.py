@@ -290,6 +290,8 @@ def test_simulator_that_starts_elsewhere_is_compared_as_a_whole_and_the_report_s
     train, test, model = files(tmp_path, reality.Machine(), "whole", "stiff = { value = 1.0 }")
     d = diagnose(train, model, test, jobs=1)
     assert any("whole recordings" in n for n in d.notes)
+    (why,) = [n for n in d.notes if n.startswith("compared by its positions")]
+    assert "the simulator does not start where it is told (joint 1: up to " in why
 
 
 @pytest.mark.parametrize(

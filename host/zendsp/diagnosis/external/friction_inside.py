@@ -59,7 +59,7 @@ class FrictionInside:
         terms = list(model.terms)
         for effect, sizes in self.sizes.items():
             units = {k: u for k, u in self.numbers[effect].items() if model.mechanism[k][0].free}
-            for i in np.flatnonzero(sizes):
+            for i in map(int, np.flatnonzero(sizes)):
                 own = _term(model, effect, i + 1)
                 terms = [t for t in terms if t is not own]
                 loose = any(unit[i] for unit in units.values())

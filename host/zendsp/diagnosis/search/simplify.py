@@ -214,6 +214,38 @@ def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     return other if other.deviance < best.deviance + NO_WORSE else best
 
 
+def _as_inertia(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
+    """The model with a wrong gain, and given friction of other numbers beside it, replaced by an
+    inertia and the friction as given, where that explains as much: a weaker drive is a heavier body
+    with more friction of every kind, exactly.
+    """
+    here = {t.effect: t for t in best.model.at(found.joint)}
+    given = {t.effect: t for t in found.base.model.at(found.joint)}
+    freed = [t for e, t in given.items() if e in here and _freed(t, here[e])]
+    gain = here.get("torque_gain")
+    if gain is None or not freed or {"torque_gain", "inertia"} & set(given) or "inertia" in here:
+        return best
+    factor = 1.0 / (1.0 + gain.value("ratio"))
+    own = facts(best.data.records[0][found.joint - 1]).inertia
+    instead = {id(here[t.effect]): t for t in freed}
+    amount = {"amount": own * (factor - 1.0)}
+    instead[id(gain)] = make_term(get_effect("inertia"), found.joint, amount)
+    if "gravity" in here and "gravity" not in given:
+        weight = {name: q.value for name, q in here["gravity"].parameters.items()}
+        weight["torque"] *= factor
+        load = make_term(get_effect("gravity"), found.joint, weight)
+        instead[id(here["gravity"])] = load
+    model = best.model.with_terms(tuple(instead.get(id(t), t) for t in best.model.terms))
+    least = best.deviance + price(freed, n) + NO_WORSE
+    other = _refitted(best.data, model, found.joint, jobs, 2, least)
+    return other if other.deviance < least else best
+
+
+def _freed(given: Term, here: Term) -> bool:
+    """Whether a term has numbers free that the given one holds."""
+    return any(here.parameters[n].free for n, q in given.parameters.items() if not q.free)
+
+
 def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
     """The model with a hardening spring and a constant torque replaced by a linear spring with a
     neutral point, where that explains as much.
@@ -294,7 +326,8 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
     """The search without terms, given or found, that the recording no longer needs."""
     best = _resolved(straightened(found, found.final, jobs), found.joint, jobs)
     best = _as_bristles(found, _as_coulomb(best, found.joint, jobs), n, jobs)
-    best = _as_spring(found, _as_payload(found, best, n, jobs), jobs)
+    best = _as_payload(found, _as_inertia(found, best, n, jobs), n, jobs)
+    best = _as_spring(found, best, jobs)
     best = _as_delay(found, _as_symmetric(found, best, n, jobs), jobs)
     best = _as_two_times(found, best, n, jobs)
     dropped: list[str] = []

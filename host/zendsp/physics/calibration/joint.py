@@ -15,15 +15,16 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.effects.base import Along, Facts, Scale
 from zendsp.physics.kernel.native import native
 from zendsp.physics.kernel.signals import Measurement, Motion, means, thin_measurement
-from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.model import TREES, Model, Term, per_joint
 from zendsp.physics.robots.bodies import Links, body_terms
-from zendsp.physics.robots.rigid import Basis, bias_slope
+from zendsp.physics.robots.rigid import Basis, bias_slope, tree_torques
 from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 RIGID = 16  # models whose rigid-body torques are kept
 BEGIN = 2.0  # rad a row: as fast as the rows allow
 FADE = 0.05  # s, or a 250th of the recording: decay of the squared bandwidth
+ROUNDED = 1e-9  # N m: the gravity of an upright axis is no more than rounding
 
 
 @dataclass
@@ -460,6 +461,11 @@ def own_weight(model: Model, joint: int) -> tuple[float, float] | None:
     if model.called is not None:
         own: tuple[float, float] | None = model.called.weight
         return own
+    if model.kind in TREES and model.joints == 1 and model.joint_kind(1) == "rotary":
+        quarter, still = np.array([0.0, 0.5 * math.pi]), np.zeros(2)
+        across, along = tree_torques(model, [np.stack([quarter, still, still])])[0]
+        torque = math.hypot(along, across)
+        return (torque, math.atan2(-across, along)) if torque > ROUNDED else None
     torque = mechanism_value(model, "gravity", joint)
     return (abs(torque), 0.0 if torque > 0.0 else math.pi) if torque else None
 
