@@ -20,11 +20,12 @@ from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pieces import rubs
 from zendsp.diagnosis.decide.result import FitTable, Left
+from zendsp.diagnosis.external.asked import State
 from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.diagnosis.external.friction_inside import FrictionInside
 from zendsp.diagnosis.external.inner_body import without_parts
 from zendsp.diagnosis.external.numbers import as_given, expanded, folded
-from zendsp.diagnosis.external.rigid import BENT, Called, State
+from zendsp.diagnosis.external.rigid import BENT, Called
 from zendsp.diagnosis.external.rigid_check import friction_inside, rigid
 from zendsp.errors import ModelError
 from zendsp.physics import load_model

@@ -33,7 +33,7 @@ from zendsp.recording.units import to_si
 Array = npt.NDArray[np.float64]
 
 DONE_ONE = ""  # what a worker says after simulations, before its answer
-TELLS = 0.01  # s: it says so no sooner than this after it said so last
+SAYS_EVERY = 0.01  # s between that, at least
 TIME_LIMIT = 60.0  # s, for one recording or window; [mechanism] time_limit
 REAL = ("Real", "Float64")
 LOG = "said.txt"  # output of an FMU
@@ -296,7 +296,7 @@ def _serve(pipe: Any, other: Any, fmu: Fmu, folder: str) -> None:
             answer: Any = []
             for begin, command, step in zip(work.begin, work.command, work.steps, strict=True):
                 answer.append(instance.simulate([*work.numbers, *begin], command, step))
-                if (now := time.monotonic()) > told + TELLS:
+                if (now := time.monotonic()) > told + SAYS_EVERY:
                     pipe.send(DONE_ONE)
                     told = now
             if not isinstance(work.command, list):

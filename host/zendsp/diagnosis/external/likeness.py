@@ -5,15 +5,12 @@ of the library that do the same.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.external.asked import State
 from zendsp.physics.robots.rigid import Basis
-
-if TYPE_CHECKING:
-    from zendsp.diagnosis.external.rigid import State
 
 Array = npt.NDArray[np.float64]
 

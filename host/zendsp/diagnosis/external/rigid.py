@@ -1,10 +1,9 @@
 """A simulator that can only be called, as the rigid body inside it.
 
-From a state of the measured motion a few rows are simulated under a constant torque; the second
-difference of the answer is the acceleration there. A push of each joint gives the mass matrix, the
-measured acceleration then the torque that the simulator needs for this motion, and a step of each
-free number the derivative of both. That is what the diagnosis knows of a URDF, so that it goes the
-same road, with the same search and the same decisions.
+A push of each joint gives the mass matrix, the measured acceleration then the torque that the
+simulator needs for this motion, and a step of each free number the derivative of both (``asked``
+has how an acceleration is asked for). That is what the diagnosis knows of a URDF, so that it goes
+the same road, with the same search and the same decisions.
 
 Only a simulator that starts from row 0 and answers a torque at once has this form. Others are
 compared by their output (``blackbox``).
@@ -15,7 +14,6 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -23,20 +21,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.external.columns import Columns, Parameters
-from zendsp.diagnosis.external.friction_inside import DRY, FrictionInside
+from zendsp.diagnosis.external.asked import Asked, State
+from zendsp.diagnosis.external.columns import Parameters
 from zendsp.diagnosis.external.likeness import alike_to, basis_of
-from zendsp.diagnosis.external.numbers import folded
-from zendsp.diagnosis.external.simulator import Simulator
-from zendsp.diagnosis.progress import Progress, Step
 from zendsp.errors import ModelError
 from zendsp.physics.calibration.fit import TOO_FAR
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import Model
 from zendsp.physics.robots.rigid import Basis
 
 Array = npt.NDArray[np.float64]
 
-ROWS_EACH = 2  # simulated from each state: the fewest with a second difference
 # s that one simulation passes along the motion, where its torque is all but constant. With 16 ms
 # its speed went astray by as much as a Coulomb friction of 0.05 % of the torque, which was claimed
 PASSED = 0.004
@@ -51,33 +45,13 @@ PUSHED, NUMBER_STEP = 0.5, 1e-3
 # or started anew; one behind a lag of 2 ms by 8 %
 AGREES = 0.02
 RIGID_SHARE = 0.7  # of the states at which it must be: one with friction of its own may stick
-ASKED_AT_ONCE = 500  # simulations between two looks at Ctrl-C
 STATES_ASKED = 48  # at which a simulator is asked whether it is a rigid body
 # of a joint's torque: the derivatives by the numbers are no longer those. An arm that is linear in
 # its numbers is off by 1e-4, one by masses and lengths that are off by a tenth, by 3e-2
 BENT = 1e-3
 REVERSES = 0.1  # of the speed: slower is a reversal
-# of the speed: where there is dry friction inside, a slower joint is asked for at this speed, both
-# ways. It passes 0.02 of it in the rows of an answer, at 2 Hz and 1 ms
-SLIDES = 0.05
 NOT_ITS_OWN = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
 MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
-
-
-@dataclass(frozen=True)
-class State:
-    """Motion of all joints, (n, joints) each."""
-
-    q: Array
-    qd: Array
-    qdd: Array
-
-    def at(self, rows: Any) -> State:
-        """The motion at some rows."""
-        return State(self.q[rows], self.qd[rows], self.qdd[rows])
-
-    def __len__(self) -> int:
-        return len(self.q)
 
 
 @dataclass(frozen=True)
@@ -111,23 +85,11 @@ class Near:
 
 
 @dataclass
-class Called:
+class Called(Asked):
     """A simulator as a rigid body, along the motions that were asked for.
 
     Attributes
     ----------
-    model : Model
-        Expanded (``expanded``): every number has a name.
-    torque : ndarray, shape (joints,)
-        RMS of each joint, N m or N.
-    probe : State
-        Some states of the measured motion.
-    about : dict
-        Values of the numbers about which torques are taken as linear in them.
-    tell : callable
-        Receives a sentence while states are simulated.
-    calls : int
-        Simulations so far, of a few rows each.
     owner : int
         The process that may call the simulator.
     known : dict
@@ -140,42 +102,19 @@ class Called:
         Effects, each with its joint (from 1), that a free number is by another name.
     weight : tuple of float or None
         Of a simulator of one joint: its gravity torque, N m, and where it hangs, rad.
-    friction : FrictionInside
-        What is inside the simulator, without which its torques are given.
     """
 
-    model: Model
-    simulator: Simulator
-    sample_time: float
-    torque: Array
-    probe: State
-    about: dict[str, float]
-    tell: Progress = print
-    calls: int = 0
     owner: int = field(default_factory=os.getpid)
     known: dict[bytes, list[dict[str, Basis]]] = field(default_factory=dict)
     in_mass: dict[str, bool] = field(default_factory=dict)
     feels: dict[tuple[str, int], bool] = field(default_factory=dict)
     does: set[tuple[str, int]] = field(default_factory=set)
     weight: tuple[float, float] | None = None
-    friction: FrictionInside = field(default_factory=FrictionInside)
-    seconds: float = math.inf  # a state takes, with its restart: the shortest, whatever else runs
-    asked: int = 0  # states that the present motion needs
-    begun: int = 0  # ``calls`` before it
 
     def __getstate__(self) -> dict[str, Any]:
         """Another process has only the records that were made."""
         none: dict[str, Any] = {"simulator": None, "known": {}, "owner": -1, "tell": None}
         return {**self.__dict__, **none}
-
-    @property
-    def joints(self) -> int:
-        """Number of joints."""
-        return len(self.torque)
-
-    def numbers(self, **moved: float) -> Parameters:
-        """The simulator's parameters, some of them moved."""
-        return folded({**self.about, **moved})
 
     @property
     def free(self) -> list[str]:
@@ -202,7 +141,7 @@ class Called:
     def masses(self, position: Array) -> Array:
         """Mass matrices at some positions (n, joints), in passing: (n, joints, joints)."""
         still = np.zeros_like(position)
-        return self._body(self._sliding(State(position, still, still)), still, self.numbers())[0]
+        return self._body(self.sliding(State(position, still, still)), still, self.numbers())[0]
 
     def _along(self, motion: State) -> list[dict[str, Basis]]:
         n, rows = len(motion), np.arange(len(motion))
@@ -258,7 +197,7 @@ class Called:
 
     def near(self, at: State) -> Near:
         """What the simulator is in some states, where its joints slide."""
-        at = self._sliding(at)
+        at = self.sliding(at)
         first, rest, _ = self._body(at, self.friction.torque(at.qd), self.numbers())
         torque = _times(first, at.qdd) + rest
         mass, rest, answer = self._body(at, torque, self.numbers(), first)
@@ -400,19 +339,9 @@ class Called:
 
     # ---- dry friction inside
 
-    def _slow(self, qd: Array) -> npt.NDArray[np.bool_]:
-        """Where joints with dry friction inside are so slow that they may stick, (n, joints)."""
-        slow: npt.NDArray[np.bool_] = np.abs(qd) < SLIDES * np.std(self.probe.qd, axis=0)
-        return slow & (np.array(self.friction.sizes.get(DRY, 0.0)) > 0.0)
-
-    def _sliding(self, at: State) -> State:
-        """States in which no joint may stick: slow ones move a little faster, their own way."""
-        slow, least = self._slow(at.qd), SLIDES * np.std(self.probe.qd, axis=0)
-        return replace(at, qd=np.where(slow, np.where(at.qd < 0.0, -least, least), at.qd))
-
     def _turns(self, qd: Array) -> npt.NDArray[np.bool_]:
         """The rows whose simulation has a joint in it that may stick, (n,)."""
-        slow, reach = self._slow(qd).any(axis=1), self._run + 1
+        slow, reach = self.slow(qd).any(axis=1), self._run + 1
         return np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
 
     def _turning(self, at: State, torque: Array, mass: Array) -> Array:
@@ -426,7 +355,7 @@ class Called:
             # a simulator that gets the torque of the motion passes it; what it falls behind is told
             return torque + _times(mass, there.qdd - came)
 
-        slow, there = self._slow(at.qd), self._sliding(at)
+        slow, there = self.slow(at.qd), self.sliding(at)
         here = asked(there, torque, mass)
         out = here.copy()
         for j in np.flatnonzero(slow.any(axis=0)):
@@ -437,60 +366,6 @@ class Called:
             part = 0.5 * (1.0 - at.qd[rows, j] / there.qd[rows, j])
             out[rows] += part[:, None] * (back - here[rows])
         return out
-
-    # ---- the simulator, a few rows at a time
-
-    def accelerations(self, at: State, torque: Array, numbers: Parameters) -> Array:
-        """Acceleration in some states under a torque, (n, joints)."""
-        answer = self.simulated(at, torque, numbers, ROWS_EACH)
-        return np.diff(answer, 2, axis=1)[:, 0] / self.sample_time**2
-
-    def simulated(self, at: State, torque: Array, numbers: Parameters, rows: int) -> Array:
-        """Positions under constant torques from a row before each state on, (n, rows + 1,
-        joints).
-        """
-        h, n = self.sample_time, len(at)
-        gain = [per_joint(self.model.actuator.gain, j + 1, 1.0) for j in range(self.joints)]
-        t = h * np.arange(-1, rows)[None, :, None]
-        q = at.q[:, None] + at.qd[:, None] * t + 0.5 * at.qdd[:, None] * t**2
-        qd = at.qd[:, None] + at.qdd[:, None] * t
-        command = np.repeat((torque / gain)[:, None], rows + 1, axis=1)
-        if self.joints == 1:
-            q, qd, command = q[..., 0], qd[..., 0], command[..., 0]
-        clock: Array = h * np.arange(rows + 1, dtype=np.float64)
-        recordings: list[Columns] = [
-            {
-                "time": clock, "sample_time": h, "position": q[i], "velocity": qd[i],
-                "command": command[i], "reference": q[i],
-            }
-            for i in range(n)
-        ]  # fmt: skip
-        parts: list[Array] = []
-        began = time.perf_counter()
-        for first in range(0, n, ASKED_AT_ONCE):
-            some = recordings[first : first + ASKED_AT_ONCE]
-            parts += self.simulator.run(some, numbers)
-            self.calls += len(some)
-            self._progress()
-        self.seconds = min(self.seconds, (time.perf_counter() - began) / max(n, 1))
-        try:
-            out = np.array(parts, dtype=np.float64)
-        except ValueError:
-            out = np.zeros(0)
-        wanted = (n, rows + 1, self.joints)
-        if out.size != np.prod(wanted):
-            raise ModelError(
-                f"{self.simulator.name} returned shape {np.shape(parts[0])}; expected {wanted[1:]}:"
-                " a position for every row"
-            )
-        return out.reshape(wanted)
-
-    def _progress(self) -> None:
-        done = self.calls - self.begun
-        tenths = min(10, 10 * done // max(self.asked, 1))
-        bar = "█" * tenths + "░" * (10 - tenths)
-        self.tell(Step.READING.says(f"asking the simulator along the motion {bar} {done} states"))
-
 
 def _times(mass: Array, x: Array) -> Array:
     return np.asarray(np.einsum("nij,nj->ni", mass, x))

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.regression import look
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.contract import listed
+from zendsp.diagnosis.external.asked import ROWS_EACH, State
 from zendsp.diagnosis.external.friction_inside import DRY, FLUID, FrictionInside, Sizes
 from zendsp.diagnosis.external.likeness import same_shape
 from zendsp.diagnosis.external.numbers import expanded
@@ -24,11 +25,9 @@ from zendsp.diagnosis.external.rigid import (
     PUSHED,
     REVERSES,
     RIGID_SHARE,
-    ROWS_EACH,
     STATES_ASKED,
     Called,
     Near,
-    State,
 )
 from zendsp.diagnosis.external.simulator import Simulator
 from zendsp.diagnosis.progress import Progress
