@@ -23,7 +23,7 @@ from zendsp.physics.term_numbers import file_model, kernel_model
 Array = npt.NDArray[np.float64]
 Sizes = tuple[float, ...]  # of each joint
 
-UNCHANGED = 1e-6  # of a size: a smaller change is none
+NO_CHANGE = 1e-6  # of a size: a smaller change is none
 DRY, FLUID = "coulomb", "viscous"
 
 
@@ -93,7 +93,7 @@ class FrictionInside:
         change = np.zeros(len(sizes))
         for i in rubs:
             change[i] = _size(here[i]) - _size(own[i]) - sizes[i]
-        change[np.abs(change) < UNCHANGED * sizes] = 0.0
+        change[np.abs(change) < NO_CHANGE * sizes] = 0.0
         numbers = self.numbers[effect]
         each = np.array(list(numbers.values())).reshape(-1, len(sizes))
         moved = np.linalg.lstsq(each.T, change, rcond=1e-9)[0]
@@ -103,7 +103,7 @@ class FrictionInside:
             (q,) = mechanism[key]
             mechanism[key] = (replace(q, value=q.value + float(by), std=std or q.std),)
         change -= each.T @ moved
-        change[np.abs(change) < UNCHANGED * sizes] = 0.0
+        change[np.abs(change) < NO_CHANGE * sizes] = 0.0
         terms = [t for t in model.terms if all(t is not x for x in here.values())]
         stays = []
         for i in rubs:
