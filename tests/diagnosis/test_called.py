@@ -445,3 +445,14 @@ def test_a_body_inside_a_simulator_is_no_law_of_its_joints() -> None:
         none = without_parts(wrong, model, ask)
         assert none.verdict == "unexplained" and none.findings == ()
         assert none.improved == "calibrated" and none.heldout.improved == 2.0
+
+
+def test_laws_beside_parts_of_a_body_are_claimed_only_where_they_leave_nothing() -> None:
+    """A payload of 0.5 kg on an FMU of two joints had been two gains, a Coulomb friction and a
+    function without a law.
+    """
+    both = said("torque_gain", "coulomb")
+    assert without_parts(both, arm(free=True), lambda _: both).findings == ()
+    here, there = both.discrepancy
+    right = replace(both, discrepancy=(here, replace(there, interval=(0.0, 1e-4))))
+    assert without_parts(right, arm(free=True), lambda _: right) is right

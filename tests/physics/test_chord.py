@@ -59,6 +59,8 @@ def test_a_small_implant_is_fitted_without_by_the_jacobian_of_the_final_model(
 def test_a_model_that_is_not_near_is_left_to_a_fit_of_its_own(data: Data, final: Fit) -> None:
     far = sprung(final.model, 1.0)
     assert fit_near(data, far, final, 1) is None
+    held = fit(data, final.model, (), joints=(1,))
+    assert fit_near(data, final.model, held, 1) is None, "a machine without free numbers had failed"
     scored = fit_scored(data, far, final.handles, (1,), rounds=1, near=lambda _: final)
     whole = fit_scored(data, far, final.handles, (1,), rounds=1)
     np.testing.assert_array_equal(scored.fit.x, whole.fit.x)
