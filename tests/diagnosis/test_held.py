@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import reality
-from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.data.signals import Parts
@@ -17,12 +17,12 @@ from zendsp.diagnosis.measure import bursts
 from zendsp.diagnosis.measure.discrepancy import BANDS
 from zendsp.diagnosis.search.hypothesis import Rival
 
-BENCH = model_of(VISCOUS, COULOMB)
-FAST = min(4.0 * BANDS[0], 0.5 * RATE)  # rad/s
+BENCH = replace(model_of(VISCOUS, COULOMB), sample_time=1e-3)
+FAST = 4.0 * BANDS[0]  # rad/s
 
 
 def parts_of() -> Parts:
-    run = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    run = reality.simulate(reality.Machine(), reality.multisine(2.0, 1000.0, 3), 1000.0)
     data = data_of(run, BENCH)
     held_out = data_of(run, BENCH)
     return Parts(data, held_out, held_out)
