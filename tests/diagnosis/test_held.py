@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,14 +16,15 @@ from zendsp.diagnosis.measure import bursts
 from zendsp.diagnosis.measure.discrepancy import BANDS
 from zendsp.diagnosis.search.hypothesis import Rival
 
-BENCH = replace(model_of(VISCOUS, COULOMB), sample_time=1e-3)
+QUICKLY = 1000.0  # Hz
+BENCH = model_of(VISCOUS, COULOMB, rate=QUICKLY)
 FAST = 4.0 * BANDS[0]  # rad/s
 
 
 def parts_of() -> Parts:
-    run = reality.simulate(reality.Machine(), reality.multisine(2.0, 1000.0, 3), 1000.0)
-    data = data_of(run, BENCH)
-    held_out = data_of(run, BENCH)
+    run = reality.simulate(reality.Machine(), reality.multisine(2.0, QUICKLY, 3), QUICKLY)
+    data = data_of(run, BENCH, QUICKLY)
+    held_out = data_of(run, BENCH, QUICKLY)
     return Parts(data, held_out, held_out)
 
 
