@@ -239,21 +239,22 @@ def test_no_rejected_law_leaves_millions_of_per_cent(left: float, words: str) ->
 
 
 @pytest.mark.parametrize(
-    ("effect", "has", "z", "stays"),
+    ("effect", "beside", "has", "z", "stays"),
     [
-        ("coulomb", False, -1.5, True),
-        ("coulomb", False, -2.5, False),
-        ("coulomb", True, -1.5, False),  # beside a dry friction of the given model
-        ("ripple", False, -1.5, False),  # not every machine has one
+        ("coulomb", "coupling", False, -1.5, True),
+        ("coulomb", "coupling", False, -2.5, False),
+        ("coulomb", "coupling", True, -1.5, False),  # beside a dry friction of the given model
+        ("coulomb", "hysteresis", False, -1.5, False),  # beside one that was found
+        ("ripple", "coupling", False, -1.5, False),  # not every machine has one
     ],
 )
 def test_friction_that_every_machine_has_goes_only_where_it_surely_does_not_help(
-    effect: str, has: bool, z: float, stays: bool, monkeypatch: pytest.MonkeyPatch
+    effect: str, beside: str, has: bool, z: float, stays: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a real arm's axis the few seconds to choose by were likelier without it (-1.5), those to
     test on less likely (3.7).
     """
-    terms = tuple(Term(name, 1, {}) for name in (effect, "coupling"))
+    terms = tuple(Term(name, 1, {}) for name in (effect, beside))
     final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: terms))
     other: Any = SimpleNamespace(model=None)
     for name, does in {

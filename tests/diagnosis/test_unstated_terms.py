@@ -133,3 +133,25 @@ def test_what_a_law_leaves_is_not_hidden_by_terms_that_are_not_stated(
     decision: Any = of_one_claim(claim, 0.1, 0.0, whole)
     assert believed._hid(claim, bare, decision, PARTS) is hid  # type: ignore[arg-type]
     assert not believed._hid(claim, whole, decision, PARTS)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("refinement", "stays"), [("friction_temperature", False), ("coulomb", True)]
+)
+def test_a_law_stands_alone_without_other_laws_of_its_friction(
+    refinement: str, stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drift of all friction (0.97) where only the viscous part fell: a Coulomb friction that rose
+    with the temperature took up what it left.
+    """
+    terms = tuple(Term(name, 1, {}) for name in ("friction_drift", refinement))
+    law, more = (claim_of(term, 0.1) for term in terms)
+    final: Any = SimpleNamespace(model=SimpleNamespace(terms=terms), data=None)
+    gone: list[Term] = []
+    monkeypatch.setattr(believed, "both_needed", lambda *_: False)
+    monkeypatch.setattr(believed, "taken_away", lambda *of: gone.extend(of[3]))
+    monkeypatch.setattr(believed, "joint_handles", lambda *_: ())
+    monkeypatch.setattr(believed, "fit_scored", lambda *_, **__: "alone")
+    given: Any = None
+    alone = believed.by_themselves(given, final, 1, [law], [more], 1)
+    assert (alone is final) is stays and gone == ([] if stays else [terms[1]])

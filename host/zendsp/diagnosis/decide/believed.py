@@ -209,11 +209,10 @@ def by_themselves(
     """The claims alone, fitted again, with the terms restored that the refinements had replaced.
     Refinements could be bent to what no claimed law describes.
     """
-    needed = any(get_effect(c.term.effect).needs for c in claims)
     rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
 
     def stays(c: Claim) -> bool:  # as Coulomb friction, which every machine has, beside its law
-        rubs_as_any = c.mechanism == DRY and (needed or (rubs and get_effect(c.term.effect).common))
+        rubs_as_any = c.mechanism == DRY and rubs and get_effect(c.term.effect).common
         return rubs_as_any or any(both_needed(final, k, c) for k in claims)
 
     terms = [c.term for c in more if not stays(c)]

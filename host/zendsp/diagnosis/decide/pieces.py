@@ -171,7 +171,7 @@ def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -
                 continue  # a long fit would not change this
             without = _without(given, final, joint, (term,), jobs)
             held = compare(without, final, parts.choose, joint)
-            if held.gain >= 0 or (held.z > -PLAIN and _expected(given, term)):
+            if held.gain >= 0 or (held.z > -PLAIN and _expected(given, new, term)):
                 continue
             if worst is None or held.gain < worst[0]:
                 worst = held.gain, without
@@ -180,10 +180,16 @@ def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -
         final = worst[1]
 
 
-def _expected(given: Model, term: Term) -> bool:
-    """Whether a term is friction that every machine has, and the given model has none of it."""
-    return get_effect(term.effect).common and not has(
-        given, mechanism_of(term.effect), term.joint
+def _expected(given: Model, new: Sequence[Term], term: Term) -> bool:
+    """Whether a term is friction that every machine has, of which neither the given model nor
+    another new term has any.
+    """
+    own = mechanism_of(term.effect)
+    others = (t for t in new if t is not term)
+    return (
+        get_effect(term.effect).common
+        and not has(given, own, term.joint)
+        and all(mechanism_of(t.effect) != own for t in others)
     )
 
 
