@@ -90,7 +90,7 @@ def test_friction_falls_fast_where_that_explains_more_than_all_that_was_found(
 def test_no_push_is_seen_by_an_observer_that_does_not_hold_the_model(
     monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parts = parts_of()
-    monkeypatch.setattr(bursts, "runs_away", lambda *_: BANDS[0] + 1.0)
+    fast = held.faster(parts_of(), 1)
+    assert fast is not None
     monkeypatch.setattr(bursts, "lacks_of", lambda *_: pytest.fail("its torque is no push"))
-    assert bursts.bursts(parts.test, BENCH, 1, parts.fit) is None
+    assert bursts.bursts(fast.test, BENCH, 1, fast.fit) is None

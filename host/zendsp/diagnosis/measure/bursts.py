@@ -30,7 +30,6 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
     reversals,
-    runs_away,
 )
 from zendsp.diagnosis.measure.neighbours import TURNS_ROUND
 from zendsp.diagnosis.measure.structure import unit
@@ -172,8 +171,8 @@ def bursts(
     often : float
         Part of the reversals that counts as "many".
     """
-    if runs_away(data, model, joint) > BANDS[0]:
-        return None  # an observer that does not hold the model shows that as pushes
+    if data.bandwidth[joint - 1] > BANDS[0]:
+        return None  # what a slower observer shows, which does not hold the model, is no push
     here, there = lacks_of(data, model, joint), lacks_of(beside, model, joint)
     quiet = quiet_energy((here, there))
     acting = acting_of(here, joint, quiet)
