@@ -90,6 +90,23 @@ def test_joints_that_one_torque_over_their_positions_pulls_are_moved_at_the_same
     assert "record joint 1 again" in said and np.ptp(q[:, 1]) == 0
 
 
+def test_a_push_is_told_from_its_rivals_by_the_same_motion_again(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The proposal ended in a colon."""
+    found: Any = SimpleNamespace(
+        effect="disturbance", joint=1, indistinguishable=("saturation",), mechanism="disturbance"
+    )
+    decision: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model=None))
+    monkeypatch.setattr(proposal, "_separable", lambda finding, _: finding)
+    monkeypatch.setattr(proposal, "_rival", lambda *_: None)
+    nothing: Any = None
+    said = proposal.propose(nothing, nothing, [nothing], [found], [decision], 0)
+    assert said is not None and said.reference is None
+    assert said.sentence.startswith("To tell disturbance from saturation at joint 1: the same")
+    assert "repeats, a push does not" in said.sentence
+
+
 def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(
     decided: Decided,
 ) -> None:

@@ -231,6 +231,7 @@ def test_the_file_keeps_a_payload(tmp_path: Path) -> None:
         # a joint of negative inertia ended a diagnosis in a traceback
         ('<mass value="1"/><inertia ixx="1" iyy="-1" izz="1"/>', "link 'b': .* iyy and izz of 0"),
         ('<mass value="1"/><inertia ixx="1" iyy="x" izz="1"/>', "link 'b': .* float: 'x'"),
+        ('<mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="2"/>', "moment of -1 kg"),
         ('<mass value="1"/>', "link 'b': <inertial> is without <mass> or <inertia>"),
         (None, "two of its 3 links have the same name"),
     ],

@@ -127,11 +127,9 @@ def propose(
     finding = open_ones[0]
     search = searches[finding.joint - 1]
     rival = _rival(search, finding)
-    experiment = (
-        get_effect(finding.effect).experiment
-        if finding.effect not in ("disturbance", "unknown")
-        else ""
-    )
+    experiment = "the same motion again: what it follows from repeats, a push does not."
+    if finding.effect not in ("disturbance", "unknown"):
+        experiment = get_effect(finding.effect).experiment
     names = ", ".join(finding.indistinguishable)
     if rival is None:
         return Next(

@@ -12,6 +12,9 @@ import numpy as np
 from zendsp.errors import ModelError
 from zendsp.tree import GRAVITY, Array, Body, axis_turn, joined
 
+# of the sum of a link's moments of inertia: files round them to some digits
+ROUNDED = 0.01
+
 
 def read_urdf(path: str, moving: Sequence[str] = ()) -> tuple[list[Body], Array]:
     """Moving links of a URDF and gravity; a parent before its children, siblings by joint name.
@@ -211,6 +214,12 @@ def _mass(found: ET.Element) -> tuple[float, Array]:
         raise ValueError(
             f"of {mass:g} kg and {list(i.values())} kg m^2: give finite numbers, and mass, ixx,"
             " iyy and izz of 0 or more"
+        )
+    least = float(np.linalg.eigvalsh(own)[0])
+    if least < -ROUNDED * float(np.trace(own)):
+        raise ValueError(
+            f"{list(i.values())} kg m^2 has a principal moment of {least:.3g} kg m^2: ixy, ixz and"
+            " iyz are too large for ixx, iyy and izz, or of another sign or unit"
         )
     return mass, own
 
