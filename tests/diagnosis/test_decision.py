@@ -8,18 +8,23 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import reality
+from made_claims import claim_of, of_one_claim
 from reality import FAST, KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.laws import law_chart
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.model_write import model_text
+from zendsp.physics.model import Term
 
 Decided = Callable[..., Diagnosis]
 pytestmark = pytest.mark.usefixtures("sizes_unasked")
@@ -125,6 +130,25 @@ def _sensor(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
     """The position is off by so many times what the sensor errs."""
     monkeypatch.setattr(decision, "rms", lambda *_: times)
     monkeypatch.setattr(decision, "noise_floor", lambda *_: 1.0)
+
+
+@pytest.mark.parametrize(
+    ("low", "times", "left"), [(0.031, 17.0, True), (0.002, 27.0, False), (0.031, 1.5, False)]
+)
+def test_what_the_recordings_of_the_fit_surely_lack_is_not_complete(
+    low: float, times: float, left: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A brake from 5 to 9 s took 3.7 % of the torque there, and 0.4 % of a faster chirp's."""
+    monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(1.2 * low, low, 1.4 * low))
+    monkeypatch.setattr(decision, "window_error", lambda *_: None)
+    _sensor(monkeypatch, times)
+    base = SimpleNamespace(model=None)
+    out = of_one_claim(claim_of(Term("ripple", 1, {}), 0.1), 0.004, 0.004, base)
+    out = replace(out, kind=Verdict.COMPLETE, claims=())
+    parts: Any = SimpleNamespace(fit=None)
+    found = decision._beside_the_fit(out, parts)
+    assert (found.kind == Verdict.UNEXPLAINED) is left
+    assert found.after.low == (low if left else out.after.low)
 
 
 @pytest.mark.usefixtures("searched_once")

@@ -315,6 +315,21 @@ def test_friction_that_drives_dry_to_zero_and_viscous_up_is_fluid(
     assert named.mechanism == name and named.most == (0.6 if name == "dry_friction" else 0.75)
 
 
+@pytest.mark.parametrize(("left", "name"), [(0.001, "dry_friction"), (0.01, "fluid_friction")])
+def test_a_friction_of_which_a_law_leaves_nothing_keeps_its_mechanism_without_the_name(
+    left: float, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A dry friction over the place, of a period longer than the travel, was a fluid one."""
+    sizes = {"dry_friction": 0.09, "fluid_friction": 0.09}
+    monkeypatch.setattr(nameless, "structure", lambda *a: Structure(sizes[a[3][0]], 0.6, 5.0))
+    given: Any = SimpleNamespace(at=lambda _: model_of(VISCOUS, COULOMB).terms)
+    base = SimpleNamespace(model=given)
+    claim = replace(claim_of(Term("position_friction", 1, {}), 0.1), effect="unknown")
+    found = of_one_claim(claim, 0.1, left, base)
+    parts: Any = SimpleNamespace(each=())
+    assert nameless.by_its_variables(claim, found, parts, given).mechanism == name
+
+
 @pytest.mark.parametrize(
     ("sizes", "first"),
     [((0.01, 0.02, 0.03), "coulomb"), ((0.01, 0.3, 0.03), "hysteresis")],

@@ -74,10 +74,13 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
 def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Model) -> Claim:
     """A friction without a law as dry or fluid, by the variables that predict it beside what
     calibration absorbed: fluid where no step at standstill is needed, which reversals show. A
-    steep rise looks like a step, and a soft step like none, so neither is sure.
+    steep rise looks like a step, and a soft step like none, so neither is sure. Unchanged where its
+    own law, though not named, leaves nothing.
     """
     if claim.effect != "unknown" or claim.mechanism not in FRICTION:
         return claim
+    if claim.term.effect != "unknown" and decision.bare.value < LAW_ERROR * claim.size:
+        return claim  # one of its laws leaves nothing, though no name: its numbers may be at an end
     model, joint = decision.base.model, decision.joint
     of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
     steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY] and not _rises(given, decision)
