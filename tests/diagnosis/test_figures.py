@@ -246,6 +246,20 @@ def test_a_stribeck_curve_is_drawn_with_the_level_on_which_it_stands(decided: De
     assert np.max(np.abs(means.y)) > 0.025, "passed in less than an observer remembers"
 
 
+def test_a_friction_that_falls_within_a_small_part_of_the_speeds_is_drawn_up_to_there() -> None:
+    """Of an arm at up to 5.7 rad/s, whose friction fell within 0.09, the law had been over time."""
+    v = 5.7 * np.sin(np.linspace(0.0, 60.0, 40_000))
+    torque = np.sign(v) * np.exp(-((v / 0.09) ** 2))
+    samples = Samples(v, torque, np.ones_like(v), np.arange(len(v)) // 100)
+    whole = Curve(Axis("velocity"), samples, *binned(samples), against=False)
+    found: Any = SimpleNamespace(parameters={"velocity": SimpleNamespace(value=0.09)})
+    assert whole.explained < laws.SHOWN and laws._is_slow(found, whole.axis)
+    slow = laws._up_to(whole, laws.SLOW_SPEEDS * 0.09)
+    assert slow.explained > 0.9 and np.ptp(slow.samples.x) < 1.1
+    found.parameters = {}
+    assert not laws._is_slow(found, whole.axis)
+
+
 @pytest.mark.parametrize(("unit", "word"), [("N", "force"), ("N m", "torque"), ("A", "torque")])
 def test_the_title_of_a_law_calls_a_force_what_its_axis_does(unit: str, word: str) -> None:
     found: Any = SimpleNamespace(effect="ripple")

@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.fast_ripple import RIPPLE_BAND
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.pieces import beside_unknown
 from zendsp.diagnosis.decide.result import Diagnosis, Workings
-from zendsp.diagnosis.measure.curve import BINS, Axis, Curve, binned, curve_over
+from zendsp.diagnosis.measure.curve import BINS, Axis, Curve, Samples, binned, curve_over
 from zendsp.diagnosis.measure.discrepancy import band_of
 from zendsp.diagnosis.measure.where import AROUND, VARIABLES, Missing, mismatch
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
@@ -45,6 +45,8 @@ IN_A_WAVE = 8  # least bins of a wave: with fewer it looks like another wave, or
 MOST_BINS = 400
 SHOWN = 0.5  # of a law's energy: if its curve explains less, the law is drawn over time
 SHOWN_S = 2.0  # span of such a figure
+# times the own speed of a law: it is drawn up to there where the whole range hides it
+SLOW_SPEEDS = 6.0
 UNCHANGED = 1e-9  # relative change of a number that counts as none
 LARGEST_BAR = 0.99  # quantile used as the largest
 
@@ -104,6 +106,9 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     if period and float(np.ptp(law.samples.x)) > FOLDED * period:
         law, *curves = (_folded(curve, period) for curve in (law, *curves))
         along = _within(period, unit)
+    most = SLOW_SPEEDS * finding.parameters["velocity"].value if _is_slow(finding, axis) else 0.0
+    if law.explained < SHOWN and most > 0.0:
+        law, *curves = (_up_to(curve, most) for curve in (law, *curves))
     if law.explained < SHOWN and not period:  # a fast pattern is drawn over the position anyway
         return _over_time(d, finding, index, two, joint, before, after)
     chart = two_panels(d, finding, index, [law, *curves], (two.was, two.now))
@@ -262,6 +267,18 @@ def _passing_slowly(lacks: list[Missing], period: float, band: float) -> list[Mi
 def _folded(curve: Curve, period: float) -> Curve:
     """A curve over the position with all periods laid over one another."""
     s = replace(curve.samples, x=np.mod(curve.samples.x, period))
+    return Curve(curve.axis, s, *binned(s), curve.against)
+
+
+def _is_slow(finding: Finding, axis: Axis) -> bool:
+    """Whether a law of the speed has a speed of its own, up to which it acts."""
+    return axis.variable == "velocity" and "velocity" in finding.parameters
+
+
+def _up_to(curve: Curve, most: float) -> Curve:
+    """A curve over the speed of the samples that are no faster."""
+    s, slow = curve.samples, np.abs(curve.samples.x) <= most
+    s = Samples(s.x[slow], s.torque[slow], s.weight[slow], s.block[slow])
     return Curve(curve.axis, s, *binned(s), curve.against)
 
 
