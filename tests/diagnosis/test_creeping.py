@@ -150,19 +150,29 @@ def test_creep_is_fitted_round_and_straight_where_the_known_one_is_worse(
     assert best.began == begun[-1]
 
 
-@pytest.mark.parametrize("key", ["speed", "lead", "level", ""])
-def test_a_creep_larger_than_any_is_none(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ripple at an arm's last joint was a creep that saw the speed 0.1 s ahead."""
+@pytest.mark.parametrize(
+    ("key", "lead", "none"),
+    [
+        ("speed", 0.0, True), ("lead", 0.1, True), ("lead", 0.0, False), ("level", 0.1, False),
+        ("", 0.01, False),
+    ],
+)  # fmt: skip
+def test_a_creep_larger_than_any_is_none(
+    key: str, lead: float, none: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ripple at an arm's last joint was a creep that saw the speed 0.1 s ahead. A tanh has no
+    lead.
+    """
     columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
     data = data_of(columns, base_model := model_of(VISCOUS, COULOMB))
     base: Any = SimpleNamespace(data=data, model=base_model, deviance=0.0)
-    model = model_of(VISCOUS, COULOMB, CREEP)
+    model = model_of(VISCOUS, COULOMB, {**CREEP, "lead": lead})
     handles = [Handle("term", 1, "level"), Handle("term", 2, "speed"), Handle("term", 2, "lead")]
     fitted = SimpleNamespace(handles=handles, at_bound=[h.key == key for h in handles])
     best: Any = SimpleNamespace(model=model, fit=fitted, deviance=-900.0)
     monkeypatch.setattr(Searcher, "creeping", lambda *_: best)
     found = Searcher(data, 1, lambda *_: True, 1, print).softened(base)
-    assert found is (None if key in ("speed", "lead") else best)
+    assert found is (None if none else best)
 
 
 def test_the_creep_of_a_found_friction_is_asked_before_the_decision(

@@ -202,7 +202,7 @@ def _surely_shown(
         ]
         pieces.sort(key=lambda p: -p.size)
         claimed, rest = held_apart(parts, given, search, final, pieces)
-        # or they hold what every machine has
+        # friction that every machine has is not given up for an unsure refinement
         held = last is not None and any(p.expected for p in last[1])
         if last is not None and (not claimed or (held and not any(p.expected for p in claimed))):
             return last

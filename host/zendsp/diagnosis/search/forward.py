@@ -165,8 +165,10 @@ class Searcher:
             return None
         best = self.creeping(base)
         terms = best.model.terms[-1:]
+        # a lead may be nothing, as a tanh has none
         numbers = zip(best.fit.handles, best.fit.at_bound, strict=True)
-        if any(bound and h.index == len(best.model.terms) - 1 for h, bound in numbers):
+        own = [h.key for h, bound in numbers if bound and h.index == len(best.model.terms) - 1]
+        if any(terms[0].value(key) > 0.0 for key in own):
             return None
         creep = Rival("creep", self.joint, best, price(terms, self.rounds.n), terms, ())
         return best if self.accept(base, creep) else None
