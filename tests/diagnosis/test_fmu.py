@@ -358,9 +358,11 @@ def test_units_that_an_fmu_states_are_converted(shop: Path, tmp_path: Path) -> N
 def test_an_fmu_that_dies_hangs_or_refuses_is_one_sentence(
     shop: Path, tmp_path: Path, bad: int, words: str
 ) -> None:
+    limit = 0.3 if bad == 2 else 20.0  # s: what answers may take long on a loaded machine
     model = write_model(
-        tmp_path, shop / "p2.fmu", "time_limit = 0.3", f"bad = {{ value = {bad}, free = false }}"
-    )
+        tmp_path, shop / "p2.fmu", f"time_limit = {limit}",
+        f"bad = {{ value = {bad}, free = false }}",
+    )  # fmt: skip
     with pytest.raises(ModelError, match=words) as said:
         zendsp.diagnose(shop / "run1.npz", model)
     assert "p2.fmu" in str(said.value) and "\n" not in str(said.value)
