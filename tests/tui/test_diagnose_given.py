@@ -70,6 +70,19 @@ async def test_the_model_of_another_machine_is_not_taken(tmp_path: Path, until: 
         assert Path(screen.model).parent == tmp_path
 
 
+@pytest.mark.parametrize("models", [1, 2])
+async def test_of_a_machine_that_is_not_known_yet_only_the_only_model_is_taken(
+    models: int, tmp_path: Path, until: Until
+) -> None:
+    """In a clone the screen began before its target's machine was known, and kept emps.toml."""
+    text = cases.bench(tmp_path)[1].read_text()
+    if models > 1:
+        (tmp_path / "another.toml").write_text(text)
+    async with alone(tmp_path, until) as (_, screen):
+        assert screen._machine() == ""
+        assert (screen.model == "") is (models > 1)
+
+
 async def test_the_model_follows_the_machine_that_was_recorded_until_one_is_chosen(
     tmp_path: Path, until: Until
 ) -> None:

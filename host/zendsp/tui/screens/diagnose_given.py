@@ -91,11 +91,13 @@ class GivenActions(LabScreen):
 
     def _meant(self) -> str:
         """The model that was chosen, also earlier; where none was chosen for the machine of the
-        marked recordings, the model of that machine.
+        marked recordings, the model of that machine, or the only one there is.
         """
         kept, machine = self.model or self.lab.model, self._machine()
-        first = next(iter(self._models()), None)
-        meant = str(first) if first and fits(first, machine) else ""
+        models = self._models()
+        # of a machine that is not known yet every model would be one
+        likely = models and (fits(models[0], machine) if machine else len(models) == 1)
+        meant = str(models[0]) if likely else ""
         of_another = kept and is_shipped(Path(kept)) and not fits(Path(kept), machine)
         if meant and of_another and not self._model_by_hand:
             return meant
