@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from zendsp.physics.files.shipped import model_folder as model_folder
@@ -76,6 +77,9 @@ def _wrist_coupling(answer: Answer) -> bool:
     return any(f.effect == "coupling" and f.joint in (5, 6) for f in answer.findings)
 
 
+AT_EACH_AXIS = tuple(  # of six
+    (f"Coulomb friction of axis {j}", partial(dry_friction, joint=j)) for j in range(1, 7)
+)
 MACHINES = (
     Machine(
         "emps",
@@ -104,10 +108,7 @@ MACHINES = (
         " viscous 0.616, Coulomb 1.95",
         "",
         (
-            *(
-                (f"Coulomb friction of axis {j}", lambda a, j=j: dry_friction(a, j))
-                for j in range(1, 7)
-            ),
+            *AT_EACH_AXIS,
             ("wrist coupling of axes 5 and 6", _wrist_coupling),
         ),
     ),
@@ -136,10 +137,7 @@ MACHINES = (
         " 47, 76 N m, fitted with the rest of the model",
         "",
         (
-            *(
-                (f"Coulomb friction of axis {j}", lambda a, j=j: dry_friction(a, j))
-                for j in range(1, 7)
-            ),
+            *AT_EACH_AXIS,
             ("at most one finding beyond", lambda a: len(a.findings) <= 7),
         ),
     ),

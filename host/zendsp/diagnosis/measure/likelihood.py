@@ -99,9 +99,9 @@ def cost_of(data: Data, joint: int, value: float) -> float:
     return n * float(np.exp(min((value - log_weights(data, joint)) / n, 500.0)))
 
 
-def fastest(data: Data) -> float:
-    """Fastest observer that the sample time allows, rad/s."""
-    return min(FASTEST, 0.5 / data.records[0][0].sample_time)
+def fastest(data: Data, most: float = FASTEST) -> float:
+    """Fastest observer that the sample time allows, rad/s, up to ``most``."""
+    return min(most, 0.5 / data.records[0][0].sample_time)
 
 
 def fitted_deviance(data: Data, fitted: Fit, joints: Sequence[int]) -> float:

@@ -13,7 +13,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.measure.discrepancy import runs_away
-from zendsp.diagnosis.measure.likelihood import FASTEST, calibrate_joint
+from zendsp.diagnosis.measure.likelihood import FASTEST, calibrate_joint, fastest
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
@@ -24,6 +24,7 @@ from zendsp.physics.model import Model
 # times the usual fastest observer: friction that fell at 119 /s was a disturbance of 0.85 under 64
 # rad/s, and is found to four digits under 256
 FASTER = 4.0
+WORTHWHILE = 2.0  # the same, at least: bandwidths are tuned by halving and doubling
 Found = tuple[JointSearch, Decision]
 
 
@@ -56,9 +57,8 @@ def searched(
 
 def faster(parts: Parts, joint: int) -> Parts | None:
     """The recordings with a faster observer on one joint; None where they are too slow for one."""
-    most = 0.5 / parts.fit.records[0][joint - 1].sample_time
-    band = min(FASTER * FASTEST, most)
-    if band < 2.0 * FASTEST:
+    band = fastest(parts.fit, FASTER * FASTEST)
+    if band < WORTHWHILE * FASTEST:
         return None
     moved = {id(part): part.at_bandwidth(joint, band) for part in parts.each}
     fit, choose, test = (moved[id(part)] for part in (parts.fit, parts.choose, parts.test))
@@ -70,7 +70,7 @@ def _falls_fast(fast: Parts, found: JointSearch, joint: int, jobs: int, tell: Pr
     likelier than all that was found.
     """
     laws = frozenset(name for name, effect in library().items() if effect.drops is not None)
-    # what was found under the usual observers may stand in for it, but for a dry friction
+    # what was found may be this friction in disguise; but there has to be one that can fall
     known = any(get_effect(t.effect).site == "dry" for t in found.base.model.at(joint))
     model = (found.base if known else found.final).model
     base = calibrate_joint(fast.fit, model, joint, jobs)

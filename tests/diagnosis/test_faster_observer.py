@@ -11,7 +11,7 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.explain import held
+from zendsp.diagnosis.explain import faster_observer
 from zendsp.diagnosis.measure import bursts
 from zendsp.diagnosis.measure.discrepancy import BANDS
 from zendsp.diagnosis.search.hypothesis import Rival
@@ -54,16 +54,16 @@ def test_a_joint_whose_friction_falls_fast_is_searched_under_a_faster_observer(
         assert parts.choose is parts.test and parts.test.bandwidth == parts.fit.bandwidth
         return None, SimpleNamespace(kind=kind if asked[-1] == 64.0 else Verdict.MISSING)
 
-    monkeypatch.setattr(held, "runs_away", lambda *_: given)
-    monkeypatch.setattr(held, "_falls_fast", lambda *_: falls)
-    _, decision = held.searched(search, parts_of(), BENCH, 1, 1, lambda _: None)
+    monkeypatch.setattr(faster_observer, "runs_away", lambda *_: given)
+    monkeypatch.setattr(faster_observer, "_falls_fast", lambda *_: falls)
+    _, decision = faster_observer.searched(search, parts_of(), BENCH, 1, 1, lambda _: None)
     assert asked == under and decision.kind == verdict
 
 
 def test_recordings_too_slow_for_a_faster_observer_keep_theirs() -> None:
     record: Any = SimpleNamespace(sample_time=0.01)
     data: Any = SimpleNamespace(records=((record,),))
-    assert held.faster(Parts(data, data, data), 1) is None
+    assert faster_observer.faster(Parts(data, data, data), 1) is None
 
 
 @pytest.mark.parametrize(
@@ -76,21 +76,21 @@ def test_friction_falls_fast_where_that_explains_more_than_all_that_was_found(
     base: Any = SimpleNamespace(model=BENCH, deviance=0.0)
     found: Any = SimpleNamespace(base=base, final=SimpleNamespace(deviance=-500.0))
     scored: Any = SimpleNamespace(deviance=deviance, model=BENCH)
-    monkeypatch.setattr(held, "calibrate_joint", lambda *_: base)
-    monkeypatch.setattr(held, "runs_away", lambda *_: away)
+    monkeypatch.setattr(faster_observer, "calibrate_joint", lambda *_: base)
+    monkeypatch.setattr(faster_observer, "runs_away", lambda *_: away)
 
     def only(_: Any, __: Any, laws: frozenset[str]) -> list[Rival]:
         assert "stribeck" in laws
         return [Rival("stribeck", 1, scored, 0.0, (), ())]
 
-    monkeypatch.setattr(held.Rounds, "stand_ins", only)
-    assert held._falls_fast(parts_of(), found, 1, 1, lambda _: None) is fast
+    monkeypatch.setattr(faster_observer.Rounds, "stand_ins", only)
+    assert faster_observer._falls_fast(parts_of(), found, 1, 1, lambda _: None) is fast
 
 
 def test_no_push_is_seen_by_an_observer_that_does_not_hold_the_model(
     monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fast = held.faster(parts_of(), 1)
+    fast = faster_observer.faster(parts_of(), 1)
     assert fast is not None
     monkeypatch.setattr(bursts, "lacks_of", lambda *_: pytest.fail("its torque is no push"))
     assert bursts.bursts(fast.test, BENCH, 1, fast.fit) is None
