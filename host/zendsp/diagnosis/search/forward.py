@@ -44,6 +44,9 @@ WHITE = 1.2  # slow variation of the innovations, over that of white noise
 # behind a first
 LOOK_AHEAD = 0.1
 LONGEST_CHAIN = 6  # most effects of a chain
+# most waves over the position in a chain: more are the series of a torque that has no law here, and
+# a decision asks whether what lacks depends on the position
+MOST_WAVES = 3
 FIRST = 0.4  # of the best gain: least gain of a runner-up to be tried as the first step
 # of the samples with a change of the count: with fewer (slow motion), whiteness is not tested
 CODES = 0.5
@@ -234,6 +237,8 @@ class Searcher:
         current = held = base  # held: the model of all accepted steps
         waiting: list[Step] = []
         while len(found.steps) + len(waiting) < LONGEST_CHAIN:
+            if _waves(found.steps) >= MOST_WAVES:
+                break
             if is_white(current, self.joint) and not (current is base and self._shows(base)):
                 break
             rivals = self.rounds.round(current)
@@ -344,6 +349,11 @@ def is_white(scored: Scored, joint: int) -> bool:
         count += len(r)
     sums = np.concatenate(means) / math.sqrt(max(total / max(count, 1), 1e-300))
     return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < LARGEST_BLOCK
+
+
+def _waves(steps: list[Step]) -> int:
+    """The count of effects that repeat with the position."""
+    return sum("order" in t.parameters for step in steps for t in step.chosen.terms)
 
 
 def _likeliest(rivals: list[Rival]) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from zendsp.physics.effects.base import Along, Array, Facts, Numbers
 
 HARMONICS = 60
+PERIODS = 1.5  # of a wave within the motion, where no turn says how often it repeats
 # damping ratio of a load: rubber has 0.1, MuJoCo's constraints 1; a fit that needs more imitates
 # something else
 OVERDAMPED = 2.0
@@ -27,14 +28,15 @@ def orders(facts: Facts) -> Sequence[float]:
     return [float(i) for i in range(2, HARMONICS + 1)]  # once per turn is gravity
 
 
-def order_limits(turns: float) -> Limits:
-    """At least ``turns`` periods within the motion; 1.2 a turn in any case."""
+def order_limits(turn: float, *, whole: bool = True) -> Limits:
+    """Repeats within a motion that can be told: ``PERIODS`` of them along an axis; at a rotary
+    joint ``turn`` each turn, and with ``whole`` as many as along an axis where it turns less.
+    """
 
     def limits(facts: Facts) -> tuple[float, float]:
         span = facts.scale.position
-        return max(
-            0.0, turns * 2 * math.pi / span if turns and span < 2 * math.pi else 1.2
-        ), math.inf
+        part = facts.slides or (whole and span < 2 * math.pi)
+        return PERIODS * 2 * math.pi / span if part else turn, math.inf
 
     return limits
 

@@ -11,7 +11,7 @@ EFFECT = Effect(
     mechanism="position_torque",
     parameters=(
         Parameter(
-            "order", "order", lower=0, limits=order_limits(1.5),
+            "order", "order", lower=0, limits=order_limits(1.2),
             meaning="n, periods a turn; on a linear axis 2π over the period",
         ),
         Parameter("amplitude", "torque", lower=0, meaning="A"),

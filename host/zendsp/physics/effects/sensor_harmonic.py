@@ -14,7 +14,7 @@ EFFECT = Effect(
     mechanism="measurement",
     parameters=(
         Parameter(
-            "order", "order", lower=2, limits=order_limits(0.0),
+            "order", "order", lower=2, limits=order_limits(1.2, whole=False),
             meaning="n, periods a turn; on a linear axis 2π over the period",
         ),
         Parameter("amplitude", "position", lower=0, limits=off_centre, meaning="e"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from zendsp.physics.effects.axes import off_centre, orders
+from zendsp.physics.effects.axes import off_centre, order_limits, orders
 from zendsp.physics.effects.base import Along, Array, Effect, Numbers, Parameter
 
 
@@ -31,7 +31,7 @@ EFFECT = Effect(
     mechanism="transmission",
     parameters=(
         Parameter(
-            "order", "order", lower=0, limits=lambda f: (0.8, 1e9),
+            "order", "order", lower=0, limits=order_limits(0.8, whole=False),
             meaning="n, periods a turn; on a linear axis 2π over the period",
         ),
         Parameter("amplitude", "position", lower=0, limits=off_centre, meaning="A"),
