@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, needed
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Estimate
-from zendsp.diagnosis.explain import joints
+from zendsp.diagnosis.explain import one_joint
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -46,10 +46,10 @@ def model(*effects: str) -> Any:
 def test_the_search_goes_on_with_a_missing_common_friction_unless_it_is_contradicted(
     effect: str, given: tuple[str, ...], z: float, goes_on: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(joints, "compare", lambda *_: Evidence(10.0 * z, z, np.zeros(1)))
+    monkeypatch.setattr(one_joint, "compare", lambda *_: Evidence(10.0 * z, z, np.zeros(1)))
     before: Any = SimpleNamespace(deviance=0.0, model=model(*given))
     better: Any = SimpleNamespace(deviance=-500.0)
-    asked = joints.Acceptance(SimpleNamespace())  # type: ignore[arg-type]
+    asked = one_joint.Acceptance(SimpleNamespace())  # type: ignore[arg-type]
     rival = Rival(effect, 1, better, 0.0, (), ())
     assert asked(before, rival) is goes_on
     assert asked(before, rival, waits=True) is (z > -1.0)

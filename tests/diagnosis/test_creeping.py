@@ -12,7 +12,7 @@ import reality
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
-from zendsp.diagnosis.explain import joints
+from zendsp.diagnosis.explain import one_joint
 from zendsp.diagnosis.search import forward
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
@@ -35,12 +35,12 @@ def test_findings_are_refitted_upon_a_creep_that_gains_little_and_the_search_goe
     upon: Any = SimpleNamespace(final=scored(-1060.0))
     soft: Any = SimpleNamespace(deviance=-alone, model=model_of(VISCOUS, CREEP))
     both, begun = scored(-1055.0), []
-    monkeypatch.setattr(joints, "upon", lambda *given: begun.append(given) or upon)
+    monkeypatch.setattr(one_joint, "upon", lambda *given: begun.append(given) or upon)
     again: Any = SimpleNamespace(
         further=lambda found: ("further", found),
         creeping=lambda *given: both if given == (first.final, soft.model.terms[-1]) else None,
     )
-    found = joints._upon_creep(first, soft, again, 1)
+    found = one_joint._upon_creep(first, soft, again, 1)
     assert found == (("further", upon) if warm else None)
     assert begun == [(first, soft, 1, both)] * warm
 
@@ -67,11 +67,11 @@ def test_a_creep_likelier_than_every_hypothesis_comes_before_the_search(
     for name, result in (("softened", soft), ("late_log", None), ("_rotor", None)):
         monkeypatch.setattr(Searcher, name, lambda *_, result=result: result)
     monkeypatch.setattr(Searcher, "search", search)
-    monkeypatch.setattr(joints, "is_white", lambda *_: False)
-    monkeypatch.setattr(joints, "calibrate_joint", lambda *_: base)
-    monkeypatch.setattr(joints, "with_fine_ripples", lambda _, found, __: found)
-    monkeypatch.setattr(joints, "decide", lambda _, beneath, *__: beneath)
-    found, beneath = joints._search_joint(parts, given, 1, 1, print)
+    monkeypatch.setattr(one_joint, "is_white", lambda *_: False)
+    monkeypatch.setattr(one_joint, "calibrate_joint", lambda *_: base)
+    monkeypatch.setattr(one_joint, "with_fine_ripples", lambda _, found, __: found)
+    monkeypatch.setattr(one_joint, "decide", lambda _, beneath, *__: beneath)
+    found, beneath = one_joint._search_joint(parts, given, 1, 1, print)
     assert searched == begun and found.base is soft and beneath == creep
 
 
@@ -108,9 +108,9 @@ def test_a_friction_that_is_found_may_creep_before_a_spring_is_believed_beside_i
     first = JointSearch(1, scored(0.0), steps, scored(-300.0, VISCOUS, COULOMB))
     softened = scored(-400.0, VISCOUS, COULOMB, CREEP) if level else None
     searcher: Any = SimpleNamespace(softened=lambda _: softened, jobs=1, accept=None)
-    monkeypatch.setattr(joints, "calibrate_joint", lambda *_: scored(0.0))
-    monkeypatch.setattr(joints, "joint_handles", lambda *_: ())
-    monkeypatch.setattr(joints, "fit_scored", lambda *_, **__: scored(-400.0))
+    monkeypatch.setattr(one_joint, "calibrate_joint", lambda *_: scored(0.0))
+    monkeypatch.setattr(one_joint, "joint_handles", lambda *_: ())
+    monkeypatch.setattr(one_joint, "fit_scored", lambda *_, **__: scored(-400.0))
     began: list[JointSearch] = []
 
     def further(_: Searcher, found: JointSearch) -> JointSearch:
@@ -120,7 +120,7 @@ def test_a_friction_that_is_found_may_creep_before_a_spring_is_believed_beside_i
     monkeypatch.setattr(Searcher, "__init__", lambda *_: None)
     monkeypatch.setattr(Searcher, "further", further)
     parts: Any = SimpleNamespace(fit=None)
-    found, beneath = joints._creeping_found(parts, model_of(VISCOUS), first, searcher, print)
+    found, beneath = one_joint._creeping_found(parts, model_of(VISCOUS), first, searcher, print)
     assert (found is not first) is creeps
     assert [t.effect for t in beneath.terms] == ["viscous", "creep"][: 1 + creeps]
     if creeps:  # it goes on from the friction, and no free number of the creep is claimed
@@ -184,11 +184,11 @@ def test_the_creep_of_a_found_friction_is_asked_before_the_decision(
     monkeypatch.setattr(Searcher, "__init__", lambda *_: None)
     for name, result in (("softened", None), ("late_log", None), ("search", springy)):
         monkeypatch.setattr(Searcher, name, lambda *_, result=result: result)
-    monkeypatch.setattr(joints, "is_white", lambda *_: True)
-    monkeypatch.setattr(joints, "calibrate_joint", lambda *_: base)
-    monkeypatch.setattr(joints, "with_fine_ripples", lambda _, found, __: found)
-    monkeypatch.setattr(joints, "decide", lambda _, beneath, *__: beneath)
-    monkeypatch.setattr(joints, "_creeping_found", lambda *_: (soft, creeping))
+    monkeypatch.setattr(one_joint, "is_white", lambda *_: True)
+    monkeypatch.setattr(one_joint, "calibrate_joint", lambda *_: base)
+    monkeypatch.setattr(one_joint, "with_fine_ripples", lambda _, found, __: found)
+    monkeypatch.setattr(one_joint, "decide", lambda _, beneath, *__: beneath)
+    monkeypatch.setattr(one_joint, "_creeping_found", lambda *_: (soft, creeping))
     parts: Any = SimpleNamespace(fit=None, choose=None)
-    found, beneath = joints._search_joint(parts, given, 1, 1, print)
+    found, beneath = one_joint._search_joint(parts, given, 1, 1, print)
     assert found is soft and beneath is creeping

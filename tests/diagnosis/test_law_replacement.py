@@ -16,7 +16,7 @@ from zendsp.diagnosis.decide import believed, laws, nameless, patchwork
 from zendsp.diagnosis.decide.claims import Decision, Piece, unclaimed
 from zendsp.diagnosis.decide.contract import Reason
 from zendsp.diagnosis.decide.remember import remembered
-from zendsp.diagnosis.explain import joints
+from zendsp.diagnosis.explain import joints, one_joint
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search import simplify
 from zendsp.physics.calibration.terms import make_term
@@ -287,11 +287,11 @@ def test_a_friction_that_creeps_stands_once_where_a_joint_is_decided_again(
 
     first: Any = SimpleNamespace(joint=1, base=SimpleNamespace(model=model((coulomb, creep))))
     seen: list[Any] = []
-    monkeypatch.setattr(joints, "calibrate_joint", lambda _, given, *__: seen.append(given))
-    monkeypatch.setattr(joints, "upon", lambda *_: None)
-    monkeypatch.setattr(joints, "decide", lambda *_: None)
+    monkeypatch.setattr(one_joint, "calibrate_joint", lambda _, given, *__: seen.append(given))
+    monkeypatch.setattr(one_joint, "upon", lambda *_: None)
+    monkeypatch.setattr(one_joint, "decide", lambda *_: None)
     beneath = model((coulomb, creep) if stated else (coulomb,))
-    joints.decided_again(SimpleNamespace(fit=None), beneath, first, 1, lambda _: None)  # type: ignore[arg-type]
+    one_joint.decided_again(SimpleNamespace(fit=None), beneath, first, 1, lambda _: None)  # type: ignore[arg-type]
     assert seen[0].terms == (coulomb, creep)
 
 

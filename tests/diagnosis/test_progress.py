@@ -41,7 +41,7 @@ def test_an_interrupt_waits_for_no_joint(monkeypatch: pytest.MonkeyPatch) -> Non
     def interrupted(_: str) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(joints, "_searched", endless)
+    monkeypatch.setattr(joints, "explain_joint", endless)
     arm: Any = SimpleNamespace(joints=2)
     begin = time.monotonic()
     with pytest.raises(KeyboardInterrupt):

@@ -29,16 +29,14 @@ from zendsp.diagnosis.explain.joints import (
     Explained,
     Outnumbered,
     SearchStopped,
-    decided_again,
     explain,
     findings_at,
     not_searched,
     plainer,
-    upon_ripples,
     with_bodies,
-    with_fine_ripples,
     with_their_links,
 )
+from zendsp.diagnosis.explain.one_joint import decided_again, upon_ripples, with_fine_ripples
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error

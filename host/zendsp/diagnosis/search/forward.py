@@ -353,7 +353,8 @@ def is_white(scored: Scored, joint: int) -> bool:
 
 def _waves(steps: list[Step]) -> int:
     """The count of effects that repeat with the position."""
-    return sum("order" in t.parameters for step in steps for t in step.chosen.terms)
+    keys = (t.parameters for step in steps for t in step.chosen.terms)
+    return sum("order" in had or "period" in had for had in keys)
 
 
 def _likeliest(rivals: list[Rival]) -> float:
