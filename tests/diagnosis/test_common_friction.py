@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from made_claims import claim_of, of_one_claim
 
-from zendsp.diagnosis.decide import believed, nameless, pieces
+from zendsp.diagnosis.decide import believed, nameless, nothing_named, pieces
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, needed
 from zendsp.diagnosis.decide.contract import Verdict
@@ -210,7 +210,7 @@ def test_a_likelier_law_that_untouched_recordings_do_not_show_takes_no_place(
     for name, answer in {
         "worth_choosing": first.final, "discrepancy": first.before, "new_terms": ["some"],
         "grouped": {}, "with_reasons": [], "_makes_better": True, "beside": None,
-        "_nothing_named": nothing, "find_sounder": None, "_blurred": False,
+        "nothing_named": nothing, "find_sounder": None, "_blurred": False,
     }.items():  # fmt: skip
         monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
     monkeypatch.setattr(
@@ -234,7 +234,7 @@ def test_no_rejected_law_leaves_millions_of_per_cent(left: float, words: str) ->
     evidence = Evidence(100.0, 9.0, np.zeros(1))
     piece = Piece("dry_friction", (Term("coulomb", 1, {}),), None, 0.33, evidence, 9.0)  # type: ignore[arg-type]
     before, beside = (Size(x, 0.9 * x, 1.1 * x) for x in (0.31, left))
-    lost = decision._lost("coulomb", 1, 100.0, [piece], before, beside)
+    lost = nothing_named._lost("coulomb", 1, 100.0, [piece], before, beside)
     assert words in lost.why and "33 % of the torque" in lost.why
 
 

@@ -19,6 +19,7 @@ from reality import FAST, KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import nothing_named
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.laws import law_chart
@@ -118,7 +119,7 @@ def test_numbers_fitted_to_slow_motion_that_are_off_in_a_fast_one_are_no_missing
 def test_a_position_far_off_in_recordings_too_short_to_say_by_what_torque_is_not_complete(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(0.0, 0.0, 0.4))
+    _lacks(monkeypatch, Size(0.0, 0.0, 0.4))
     assert decided(reality.Machine()).verdict == "complete"
     _sensor(monkeypatch, 4.0)
     d = decided(reality.Machine())
@@ -128,8 +129,14 @@ def test_a_position_far_off_in_recordings_too_short_to_say_by_what_torque_is_not
 
 def _sensor(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
     """The position is off by so many times what the sensor errs."""
-    monkeypatch.setattr(decision, "rms", lambda *_: times)
-    monkeypatch.setattr(decision, "noise_floor", lambda *_: 1.0)
+    monkeypatch.setattr(nothing_named, "rms", lambda *_: times)
+    monkeypatch.setattr(nothing_named, "noise_floor", lambda *_: 1.0)
+
+
+def _lacks(monkeypatch: pytest.MonkeyPatch, size: Size) -> None:
+    """So much of the torque is missing, in all recordings and with all numbers."""
+    for module in (decision, nothing_named):
+        monkeypatch.setattr(module, "discrepancy", lambda *_: size)
 
 
 @pytest.mark.parametrize(
@@ -139,8 +146,8 @@ def test_what_the_recordings_of_the_fit_surely_lack_is_not_complete(
     low: float, times: float, left: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A brake from 5 to 9 s took 3.7 % of the torque there, and 0.4 % of a faster chirp's."""
-    monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(1.2 * low, low, 1.4 * low))
-    monkeypatch.setattr(decision, "window_error", lambda *_: None)
+    _lacks(monkeypatch, Size(1.2 * low, low, 1.4 * low))
+    monkeypatch.setattr(nothing_named, "window_error", lambda *_: None)
     _sensor(monkeypatch, times)
     base = SimpleNamespace(model=None)
     out = of_one_claim(claim_of(Term("ripple", 1, {}), 0.1), 0.004, 0.004, base)
@@ -168,7 +175,7 @@ def test_a_small_torque_that_throws_the_position_far_off_is_missing(
     verdict: str,
 ) -> None:
     """Commands dropped by a controller left 0.5 % of the torque, and had been called complete."""
-    monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(lacks, low, 2 * lacks))
+    _lacks(monkeypatch, Size(lacks, low, 2 * lacks))
     _sensor(monkeypatch, times)
     assert decided(reality.Machine()).verdict == verdict
 
@@ -230,7 +237,7 @@ def test_what_acts_surely_and_drowns_in_what_stays_unexplained_is_not_complete(
     machine = reality.Machine(ripple=0.003)
     assert [f.effect for f in decided(machine).findings] == ["ripple"]
     monkeypatch.setattr(decision, "held_apart", lambda *a: ([], a[-1]))
-    monkeypatch.setattr(decision, "_asked", lambda out, *_: out)
+    monkeypatch.setattr(nothing_named, "_asked", lambda out, *_: out)
     assert decided(machine).verdict == "unexplained"
     assert decided(reality.Machine()).verdict == "complete"
 

@@ -14,7 +14,7 @@ from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import Diagnosis
-from zendsp.diagnosis.decide import believed
+from zendsp.diagnosis.decide import believed, nothing_named
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import propose as proposal
 from zendsp.diagnosis.decide.claims import Decision
@@ -56,7 +56,8 @@ def test_a_small_unknown_function_of_the_state_gets_no_name_that_it_only_resembl
 def test_a_function_of_state_is_seen_where_no_law_resembles_it(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(decision, "sure", lambda *_: False)  # no law predicts any of it
+    for module in (decision, nothing_named):
+        monkeypatch.setattr(module, "sure", lambda *_: False)  # no law predicts any of it
     assert decided(reality.Machine(swirl=0.008)).verdict != "complete"
 
 

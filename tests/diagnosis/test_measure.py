@@ -16,8 +16,7 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
-from zendsp.diagnosis.decide import clocks
-from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import clocks, nothing_named
 from zendsp.diagnosis.decide.assemble import (
     with_slower_observer,
 )
@@ -371,7 +370,7 @@ def test_the_half_row_of_a_first_order_simulator_is_not_missing_physics(
     out: Any = SimpleNamespace(joint=1, base=base, before=discrepancy(data, base.model, 1))
     parts: Any = SimpleNamespace(fit=data, test=data)
     assert out.before.value > OF_STATE
-    assert decision._half_a_row(out, parts, 1) is numeric
+    assert nothing_named._half_a_row(out, parts, 1) is numeric
 
 
 def test_a_number_is_not_bent_into_the_limits_of_shorter_recordings() -> None:

@@ -275,7 +275,7 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
     monkeypatch.setattr(decision, "piece_of", ask)
     monkeypatch.setattr(decision, "held_apart", lambda *_: ([], []))
     nothing: Any = SimpleNamespace(kind="complete")
-    monkeypatch.setattr(decision, "_nothing_named", lambda *_: nothing)
+    monkeypatch.setattr(decision, "nothing_named", lambda *_: nothing)
     search: Any = SimpleNamespace(joint=1, base=FINAL, steps=[])
     outcome: Any = decision._decided(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
     assert outcome is nothing and asked == [PARTS.test]
@@ -306,7 +306,7 @@ def test_a_law_that_leaves_more_unexplained_than_before_is_no_finding(
         "believed": found,
         "window_error": np.zeros(3),
         "beside": None,
-        "_nothing_named": other,
+        "nothing_named": other,
     }.items():
         monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
     search: Any = SimpleNamespace(joint=1, base=one, steps=[])

@@ -12,7 +12,7 @@ from made_claims import PARTS, piece
 from small_models import model_of
 
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import naming, pieces
+from zendsp.diagnosis.decide import naming, nothing_named, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Near
 from zendsp.diagnosis.decide.contract import Reason, Rejected
 from zendsp.diagnosis.decide.near import likeness, nearest_law
@@ -61,7 +61,7 @@ def test_a_tried_law_that_is_no_finding_says_why(
 ) -> None:
     seen = replace(piece(size, z, 20.0), why="known laws may be wrong by as much")
     before, after = Size(0.1, 0.1, 0.1), Size(left, left, left)
-    lost = decision._lost("ripple", 2, 100.0, [seen], before, after)
+    lost = nothing_named._lost("ripple", 2, 100.0, [seen], before, after)
     assert (lost.effect, lost.joint, lost.score) == ("ripple", 2, 50.0)
     assert lost.why.startswith(why)
     assert lost.reason == reason
@@ -241,7 +241,7 @@ def test_another_load_is_mentioned_only_where_there_are_several_recordings(
     left = Size(0.3, 0.2, 0.4)
     found = Decision(1, "unexplained", (), (), one, one, left, left, NOTHING, left, one, 7.0)
     for name, answer in {
-        "worth_choosing": one, "discrepancy": left, "new_terms": [], "_nothing_named": found,
+        "worth_choosing": one, "discrepancy": left, "new_terms": [], "nothing_named": found,
         "by_own_numbers": ("b",),
     }.items():  # fmt: skip
         monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from zendsp.diagnosis import Diagnosis
-from zendsp.diagnosis.decide import decide, findings
+from zendsp.diagnosis.decide import findings, nothing_named
 from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted, dark, nearest
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.headline import percent, verdict_sentence, word_of
@@ -121,9 +121,10 @@ def test_no_rejected_rival_with_a_positive_likelihood_is_called_no_more_likely()
     left = Size(0.1, 0.1, 0.1)
     for gain, words in ((-10.0, "no more likely"), (14.0, "hardly more likely"), (
         80.0, "is not what is missing")):  # fmt: skip
-        lost = decide._lost("stiffness", 1, gain, (), left, left)
+        lost = nothing_named._lost("stiffness", 1, gain, (), left, left)
         assert words in lost.why and (lost.score > 0.0) != ("no more" in lost.why)
-    assert "log-likelihood +7, and +20" in decide._lost("stiffness", 1, 14.0, (), left, left).why
+    lost = nothing_named._lost("stiffness", 1, 14.0, (), left, left)
+    assert "log-likelihood +7, and +20" in lost.why
 
 
 def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() -> None:
