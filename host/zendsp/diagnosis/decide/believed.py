@@ -19,6 +19,7 @@ from zendsp.diagnosis.decide.patchwork import (
     twins,
 )
 from zendsp.diagnosis.decide.pieces import (
+    kept_laws,
     kind_of,
     law_leaves,
     rubs,
@@ -45,7 +46,7 @@ from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.physics.calibration.fit import joint_handles
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model
 
 
@@ -210,10 +211,15 @@ def by_themselves(
     Refinements could be bent to what no claimed law describes.
     """
     rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
+    known = any(mechanism_of(t.effect) == DRY for t in kept_laws(given, final.model, joint, DRY))
 
-    def stays(c: Claim) -> bool:  # as Coulomb friction, which every machine has, beside its law
-        rubs_as_any = c.mechanism == DRY and rubs and get_effect(c.term.effect).common
-        return rubs_as_any or any(both_needed(final, k, c) for k in claims)
+    def stays(c: Claim) -> bool:
+        effect = get_effect(c.term.effect)
+        # Coulomb friction, which every machine has, beside its law; how the model's own turns round
+        own = c.mechanism == DRY and (
+            effect.common if rubs else known and effect.hidden and c.evidence.z > SURE
+        )
+        return own or any(both_needed(final, k, c) for k in claims)
 
     terms = [c.term for c in more if not stays(c)]
     terms = [t for t in final.model.terms if any(t is x for x in terms)]

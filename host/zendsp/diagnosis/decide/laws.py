@@ -261,7 +261,7 @@ def _turns_a_known_one(
     return (
         piece.size**2 < OWN_SHARE * before.value**2
         and bool(kept_laws(given, final.model, joint, DRY))
-        and turns_round(parts, final, piece)
+        and turns_round(parts, given, final, piece)
     )
 
 

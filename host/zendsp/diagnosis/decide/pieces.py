@@ -25,11 +25,13 @@ from zendsp.diagnosis.decide.thresholds import (
     LACKED,
     LAW_ERROR,
     LEFT_BY_A_LAW,
+    OTHER_NUMBERS,
     PLAIN,
     PREDICTED,
     RUN_AWAY,
     STEPPED,
     SURE,
+    TOLERANCE,
 )
 from zendsp.diagnosis.measure.curve import DRY, FRICTION
 from zendsp.diagnosis.measure.discrepancy import (
@@ -46,6 +48,7 @@ from zendsp.diagnosis.measure.discrepancy import (
 )
 from zendsp.diagnosis.measure.evidence import Evidence, compare, heard_slowly
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
+from zendsp.diagnosis.measure.significance import essence_of
 from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.simplify import SIMPLER_COST, hopeless
@@ -315,7 +318,7 @@ def held_apart(
         larger = max((p.size for p in claimed), default=0.0)
         beside = kept_laws(given, final.model, joint, piece.mechanism)
         # what a known dry friction does at reversals is an error of its own law
-        second = bool(beside) and turns_round(parts, final, piece)
+        second = bool(beside) and turns_round(parts, given, final, piece)
         if piece.mechanism not in kind_of(DRY):
             beside += _rubbing(parts, search, final, piece)
         larger = max(larger, torque_of(parts.test, beside, final.model, joint))
@@ -379,12 +382,33 @@ def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> 
     return dry
 
 
-def turns_round(parts: Parts, final: Scored, piece: Piece) -> bool:
-    """Whether a mechanism only changes dry friction at reversals: bristles or softness, not a curve
-    over the speed.
+def turns_round(parts: Parts, given: Model, final: Scored, piece: Piece) -> bool:
+    """Whether a mechanism only changes the model's own dry friction at reversals: bristles or
+    softness, neither a curve over the speed nor a friction beside it.
     """
-    hidden = any(get_effect(e).hidden for e in piece.effects)
-    return piece.mechanism == DRY and hidden and _turning(parts, final, piece)
+    if piece.mechanism != DRY or not any(get_effect(e).hidden for e in piece.effects):
+        return False
+    beside = _keeps_its_numbers(given, final.model, piece)
+    return not beside and _turning(parts, final, piece)
+
+
+def _keeps_its_numbers(given: Model, final: Model, piece: Piece) -> bool:
+    """Whether the model's own dry friction is as stated with a mechanism, and only without it
+    calibrated to other numbers. Then it had absorbed what is missing.
+    """
+    joint = piece.terms[0].joint
+
+    def off(model: Model) -> float:
+        """The largest change of a number, as a part of it."""
+        changes = [0.0]
+        for term in kept_laws(given, model, joint, DRY):
+            stated = next((t for t in given.at(joint) if t.effect == term.effect), None)
+            if stated is not None and mechanism_of(term.effect) == DRY:
+                numbers = [(stated.value(k), term.value(k)) for k in essence_of(term.effect)]
+                changes += [abs(now - was) / abs(was) for was, now in numbers if was]
+        return max(changes)
+
+    return off(final) < TOLERANCE and off(piece.without.model) > OTHER_NUMBERS * TOLERANCE
 
 
 def _turning(parts: Parts, final: Scored, piece: Piece) -> bool:

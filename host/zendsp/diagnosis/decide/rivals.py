@@ -142,10 +142,12 @@ def _shared(names: Sequence[str], weights: Array, mechanism: str) -> dict[str, f
 
 def _beside_a_number(given: Model, final: Scored, first: Piece, rival: Rival) -> bool:
     """Whether the claimed law is the given model's own with another number, and a rival beside the
-    given number gains hardly more.
+    given number has more numbers and gains hardly more.
     """
     term = first.terms[0]
-    own = any(t.effect == term.effect for t in given.at(term.joint))
+    law, other = (get_effect(name).parameters for name in (term.effect, rival.effect))
+    more = sum(p.fitted for p in other) > sum(p.fitted for p in law)
+    own = more and any(t.effect == term.effect for t in given.at(term.joint))
     return own and SUFFICIENT * (first.without.deviance - rival.value) < rival_gain(first, final)
 
 
