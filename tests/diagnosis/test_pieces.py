@@ -126,6 +126,7 @@ def test_how_given_dry_friction_behaves_at_reversals_is_no_finding_within_its_er
     The softness of MuJoCo's friction had been called hysteresis. A Stribeck curve is no softness.
     """
     monkeypatch.setattr(pieces, "at_reversals", lambda *_: turning)
+    monkeypatch.setattr(pieces, "_keeps_its_numbers", lambda *_: False)
     monkeypatch.setattr(pieces, "torque_of", lambda *_: 0.2)
     loop = piece(size, 5.0, 50.0, effect)
     claimed, _ = held_apart(loop, left=Size(0.0005, 0.0, 0.01), beside=[Term("coulomb", 1, {})])

@@ -7,11 +7,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from made_claims import PARTS, claim_of, of_one_claim, piece
 
 from zendsp.diagnosis.decide import believed, decide
 from zendsp.diagnosis.decide.claims import Piece
+from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.model import Quantity, Term
 
@@ -136,22 +138,33 @@ def test_what_a_law_leaves_is_not_hidden_by_terms_that_are_not_stated(
 
 
 @pytest.mark.parametrize(
-    ("refinement", "stays"), [("friction_temperature", False), ("coulomb", True)]
+    ("law", "refinement", "z", "known", "stays"),
+    [
+        ("friction_drift", "friction_temperature", 9.0, False, False),
+        ("friction_drift", "coulomb", 9.0, False, True),
+        ("ripple", "hysteresis", 9.0, True, True),
+        ("ripple", "hysteresis", 2.0, True, False),
+        ("ripple", "hysteresis", 9.0, False, False),
+        ("ripple", "stribeck", 9.0, True, False),
+    ],
 )
-def test_a_law_stands_alone_without_other_laws_of_its_friction(
-    refinement: str, stays: bool, monkeypatch: pytest.MonkeyPatch
+def test_a_law_stands_alone_without_refinements_but_those_that_turn_a_known_friction(
+    law: str, refinement: str, z: float, known: bool, stays: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A drift of all friction (0.97) where only the viscous part fell: a Coulomb friction that rose
-    with the temperature took up what it left.
+    with the temperature took up what it left. A ripple that left nothing was none (0.29) beside a
+    hysteresis, which is how the model's own dry friction turns round.
     """
-    terms = tuple(Term(name, 1, {}) for name in ("friction_drift", refinement))
-    law, more = (claim_of(term, 0.1) for term in terms)
+    terms = tuple(Term(name, 1, {}) for name in (law, refinement))
+    one, more = (claim_of(term, 0.1, Evidence(100.0, z, np.zeros(1))) for term in terms)
     final: Any = SimpleNamespace(model=SimpleNamespace(terms=terms), data=None)
     gone: list[Term] = []
+    own = [Term("coulomb", 1, {}), Term("viscous", 1, {})]
+    monkeypatch.setattr(believed, "kept_laws", lambda *_: own if known else own[1:])
     monkeypatch.setattr(believed, "both_needed", lambda *_: False)
     monkeypatch.setattr(believed, "taken_away", lambda *of: gone.extend(of[3]))
     monkeypatch.setattr(believed, "joint_handles", lambda *_: ())
     monkeypatch.setattr(believed, "fit_scored", lambda *_, **__: "alone")
     given: Any = None
-    alone = believed.by_themselves(given, final, 1, [law], [more], 1)
+    alone = believed.by_themselves(given, final, 1, [one], [more], 1)
     assert (alone is final) is stays and gone == ([] if stays else [terms[1]])

@@ -109,5 +109,5 @@ UNLIKELY = 1 / 3
 # Relative standard deviation of a given inertia, mass or gravity; more where its std says so.
 TOLERANCE = 0.045
 # Times TOLERANCE: the model's own dry friction is surely not as stated with a number so far off. A
-# hysteresis of 11 and of 3 % of the torque moved Coulomb friction by 47 and 17 %.
+# hysteresis of 11 % of the torque moved Coulomb friction by 47 %, one of 3 % by 7 %.
 OTHER_NUMBERS = 3.0

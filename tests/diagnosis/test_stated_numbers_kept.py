@@ -1,0 +1,61 @@
+"""What the numbers that a model states say of a mechanism beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from made_claims import piece
+from small_models import model_of
+
+from zendsp.diagnosis.decide import pieces, rivals
+from zendsp.diagnosis.search.hypothesis import Rival
+
+
+@pytest.mark.parametrize(
+    ("level", "without", "turning"),
+    [
+        (0.0301, 0.044, False),  # it had absorbed a hysteresis, beside which it is as stated
+        (0.0301, 0.032, True),  # 7 %: stated numbers are not known so well
+        (0.026, 0.030, True),  # as stated it is the whole friction, of which bristles take a part
+        (0.026, 0.044, True),
+    ],
+)
+def test_a_hysteresis_that_keeps_the_stated_friction_is_not_how_that_turns_round(
+    level: float, without: float, turning: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A hysteresis of 11 % of the torque was a refinement, since Coulomb friction of 147 % took up
+    most of it; and the spring beside it had no law, for what the hysteresis left.
+    """
+
+    def model(amount: float) -> Any:
+        return model_of({"kind": "coulomb", "joint": 1, "level": amount})
+
+    monkeypatch.setattr(pieces, "at_reversals", lambda *_: 0.9)
+    monkeypatch.setattr(pieces, "kept_laws", lambda _, model, *__: model.at(1))
+    parts: Any = SimpleNamespace(test=None)
+    final: Any = SimpleNamespace(model=model(level))
+    bare: Any = SimpleNamespace(model=model(without))
+    found = replace(piece(0.014, 14.0, 500.0, "hysteresis"), without=bare)
+    assert pieces.turns_round(parts, model(0.03), final, found) is turning
+
+
+@pytest.mark.parametrize(
+    ("rival", "gain", "beside"),
+    [("lag", 61_600.0, False), ("hysteresis", 61_600.0, True), ("hysteresis", 90_000.0, False)],
+)
+def test_a_law_with_no_more_numbers_competes_with_a_stated_number_that_is_wrong(
+    rival: str, gain: float, beside: bool
+) -> None:
+    """A lag of 3 ms beside a filter that the model states was another filter (0.96), though far
+    likelier: a law beside a number was compared only where it explained a quarter more.
+    """
+    given = model_of({"kind": "position_filter", "joint": 1, "time_constant": 0.0025})
+    without: Any = SimpleNamespace(deviance=0.0)
+    first = replace(piece(0.1, 9.0, 50.0, "position_filter"), without=without)
+    final: Any = SimpleNamespace(deviance=-57_000.0)
+    scored: Any = SimpleNamespace(deviance=-gain)
+    other = Rival(rival, 1, scored, 0.0, (), ())
+    assert rivals._beside_a_number(given, final, first, other) is beside
