@@ -66,6 +66,19 @@ def test_no_delay_is_said_to_be_missed_below_a_time_that_no_fit_reaches(
 
 
 @pytest.mark.usefixtures("searched_once")
+def test_no_smaller_lateness_is_promised_than_the_clock_lets_one_name(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A delay of 0.22 rows was unexplained where 0.15 rows were said to be seen."""
+    monkeypatch.setattr(sizes._Implant, "seen", lambda *_: (1e-6, 1e-4))
+    told = {x.effect: x for x in decided(reality.Machine()).detectable}
+    for late in ("lag", "delay"):
+        assert told[late].size == pytest.approx(0.3 / reality.RATE)
+        assert told[late].share == pytest.approx(1e-4 * told[late].size / 1e-6)
+    assert told["ripple"].size == pytest.approx(1e-6)
+
+
+@pytest.mark.usefixtures("searched_once")
 def test_the_fit_of_a_larger_implant_begins_from_that_of_the_smaller_one(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:

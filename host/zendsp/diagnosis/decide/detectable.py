@@ -25,6 +25,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.findings import CLOCK
 from zendsp.diagnosis.decide.pieces import (
     dependence,
     finest,
@@ -37,6 +38,7 @@ from zendsp.diagnosis.decide.thresholds import (
     CLAIMED,
     LAW_ERROR,
     LEFT_BY_A_LAW,
+    SURE,
 )
 from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.discrepancy import (
@@ -57,7 +59,7 @@ from zendsp.diagnosis.search.screen import FIRST_ORDER, Screen, phase_of
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
 from zendsp.physics.calibration.handles import Handle, get_values, set_values
-from zendsp.physics.calibration.joint import facts
+from zendsp.physics.calibration.joint import JointRecord, facts
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, library, mechanism_of, unit_of
 from zendsp.physics.model import Model, Term
@@ -142,9 +144,8 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
         term = _smallest(traces[effect.aliases], name, implant.energy, beyond * scale)
         size, torque = _worst(implant, effect, term, beyond)
-        if effect.least is not None:  # the search takes no smaller one
-            least = effect.least(facts(screen.records[0])).get(_key(effect), 0.0)
-            size, torque = max(size, least), torque * max(1.0, least / size)
+        least = _least(effect, screen.records[0])
+        size, torque = max(size, least), torque * max(1.0, least / size)
         parameter = effect.parameter(_key(effect))
         most = max(r.scale.of(parameter.size) for r in screen.records)
         most *= NOT_SMALL if parameter.above else 1.0  # it acts upon another, and seldom
@@ -159,6 +160,15 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         at = {n: term.value(n) for n in effect.grid if n in SHAPES} if term else {}
         out.append(Detectable(joint, mechanism_of(name), name, size, unit, torque, at))
     return out
+
+
+def _least(effect: Effect, record: JointRecord) -> float:
+    """The size below which an effect is never named: the search takes no smaller one, or its number
+    may be nothing beside what is known of the clock.
+    """
+    least = effect.least(facts(record)).get(_key(effect), 0.0) if effect.least else 0.0
+    known = SURE * CLOCK * record.sample_time if effect.family == "timing" else 0.0
+    return max(least, known)
 
 
 def _worst(
