@@ -238,17 +238,20 @@ def test_a_gain_that_a_body_explains_as_well_is_the_less_sure(
     monkeypatch.setattr(decide_bodies, "tied", lambda e, top: e.gain > 0.9 * top.gain)
     nothing: Any = None
 
-    def left(body: float, effect: str = "torque_gain") -> Claim:
+    def left(body: float, effect: str = "torque_gain", mechanism: str = "actuator") -> Claim:
         of_bodies = [tried("body", 2, body, True), tried("payload", 2, 50.0, True)]
-        search: Any = SimpleNamespace(tried=[*of_bodies, tried("torque_gain", 0, 900.0, False)])
+        own = [tried("torque_gain", 0, 900.0, False), tried("unknown", 2, 900.0, False)]
+        search: Any = SimpleNamespace(tried=[*of_bodies, *own])
         term = Term(effect, 2, {})
-        claim = Claim(effect, "actuator", term, 0.1, nothing, 0.0, {}, (), (), ())
+        claim = Claim(effect, mechanism, term, 0.1, nothing, 0.0, {}, (), (), ())
         decision = Decision(2, "missing", (claim,), (), *[nothing] * 8)
         return decide_bodies.or_bodies(search, [decision])[0].claims[0]
 
     assert (left(850.0).same, left(850.0).most) == (("body",), 0.75)
     assert (left(500.0).same, left(500.0).most) == ((), 1.0)
     assert left(850.0, "delay").same == ()
+    assert left(850.0, "unknown", "position_torque").same == ("body",)
+    assert left(850.0, "unknown", "dry_friction").same == ()
 
 
 def test_a_body_is_named_before_the_laws_that_were_found_beside_it(

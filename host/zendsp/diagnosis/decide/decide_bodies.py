@@ -231,7 +231,8 @@ def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decisio
     """
 
     def told(c: Claim, joint: int) -> Claim:
-        if c.effect == "unknown" or c.effect not in like_bodies():
+        nameless = c.effect == "unknown" and c.mechanism == "position_torque"
+        if not nameless and (c.effect == "unknown" or c.effect not in like_bodies()):
             return c
         own = [h for h in search.tried if h.hypothesis.effect == c.effect]
         own = [e for e in own if e.hypothesis.joint in (0, joint)]

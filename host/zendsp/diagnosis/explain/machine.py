@@ -152,13 +152,16 @@ def _settled_once(
 
 def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
     """The findings with a body in place of the claims of joints: of one joint, where it explains as
-    much, or of several. Constants are free in the search for bodies, and can hide one.
+    much, or of several, some of which may lack torque without a name. Constants are free in the
+    search for bodies, and can hide one.
     """
     if found.claims:
         return None
     if bodies.instead and _weighs(found.decisions[bodies.instead[1] - 1]):
         return bodies.instead[0]
-    several = sum(_weighs(d) for d in found.decisions) > 1
+    claimed = sum(_weighs(d) for d in found.decisions)
+    open_ = sum(d.kind == Verdict.UNEXPLAINED for d in found.decisions)
+    several = claimed and claimed + open_ > 1
     return bodies.small if several and not bodies.found else None
 
 

@@ -84,9 +84,9 @@ class BodySearch:
     ``model``: the given one with them. ``tried``: all explanations of the last round. ``aside``:
     joints set aside for a fault of their own. ``instead``: the body that explains as much as the
     first of these faults, and that joint. ``small``: the best body that is not proposed, being too
-    small a part of what the joints leave, or as uncertain as the gains of all drives. ``beside``:
-    whether a body was seen at several joints before the first joint was set aside. ``strap``: a
-    force between links, which predicts better than the body that came next.
+    small a part of the torque or of what the joints leave, or as uncertain as the gains of all
+    drives. ``beside``: whether a body was seen at several joints before the first joint was set
+    aside. ``strap``: a force between links, which predicts better than the body that came next.
     """
 
     model: Model
@@ -239,9 +239,7 @@ def _searched(
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}, its numbers"))
         best = _with_numbers(fit, choose, layout, tried, limits, jobs, aside)
         # a body on which recordings disagree is not real, and hides real ones
-        if weight_of(choose, layout, best) < limits.least:
-            break
-        if unsure(best, limits):
+        if weight_of(choose, layout, best) < limits.least or unsure(best, limits):
             small = small if found else _stated(layout, best, tried, limits, aside)
             break
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}"))
