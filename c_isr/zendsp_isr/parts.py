@@ -36,7 +36,7 @@ def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
 
 RUNNER_SOURCES = (
     "main.c", "contain.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c",
-    "stream.c", "safety.c",
+    "stream.c", "safety.c", "promises.c",
 )
 MONITOR_SOURCES = ("monitor.c", "lost_pages.c")
 

@@ -86,7 +86,7 @@ static int open_machine(runner *r) {
         return fail(c, "machine", why[0] ? why : "open failed");
     if (c->info.joints < 1 || c->info.joints > MACHINE_JOINTS || c->info.adcs < 0 ||
         c->info.adcs > MACHINE_ADCS)
-        return fail(c, "machine", "joints or adcs out of range in machine_info");
+        return fail(c, "machine", "machine_info: 1 to 8 joints and 0 to 8 adcs are possible");
     if ((machine->step != NULL) != (c->info.simulated != 0))
         return fail(c, "machine",
                     "a simulated machine has step(), hardware has none; machine_info.simulated"
@@ -99,6 +99,8 @@ static int check_settings(runner *r) {
     if (c->clock == CLOCK_FAST && !c->info.simulated)
         return fail(c, "machine", "the fast clock needs a simulated machine");
     char key[LAYOUT_NAME], why[LAYOUT_TEXT];
+    if (promises_check(&c->info, why, sizeof why) != 0)
+        return fail(c, "machine", why);
     void *library = dlopen(c->machine_path, RTLD_NOW | RTLD_NOLOAD);
     const char *asked = library ? dlsym(library, "machine_config_asked") : NULL;
     if (!unknown_setting(c->machine_config, asked, key, sizeof key))

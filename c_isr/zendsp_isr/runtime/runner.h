@@ -139,6 +139,9 @@ void dictionary_builtins(runner *r);
 int dictionary_finish(
     runner *r); /* lays out and maps the data file; 0, or -1 with control->error set */
 
+/* promises.c: 0, or what a machine says of itself and cannot be meant, in `why` */
+int promises_check(const machine_info *info, char *why, size_t size);
+
 /* realtime.c */
 void realtime_enter(runner *r); /* waits for what the monitor gives the loop */
 bool realtime_granted(void);
