@@ -212,6 +212,20 @@ def test_acquire_with_start_begins_at_the_first_sample(loaded: Target) -> None:
         loaded.acquire(["nope"], 0.05, start=True)
 
 
+def test_a_channel_named_twice_is_refused_before_it_is_recorded(running: Target) -> None:
+    """Such a recording could not be loaded: its seconds had been lost."""
+    before = running.acquire_status().begun
+    with pytest.raises(AcquisitionError, match="q: is named twice"):
+        running.acquire(["q", "tau", "q"], seconds=0.05)
+    assert running.acquire_status().begun == before
+
+
+def test_an_element_beside_its_vector_is_a_channel_of_its_own(running: Target) -> None:
+    run = running.acquire(["q[0]", "q"], seconds=0.05)
+    assert run.names == ("q[0]", "q")
+    assert np.array_equal(run["q[0]"], run["q"][:, 0])
+
+
 def test_a_recorder_in_use_is_refused_to_others_unless_taken(running: Target) -> None:
     running.acquire_configure(["q"], seconds=60.0)
     running.acquire_start()

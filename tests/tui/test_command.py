@@ -37,3 +37,10 @@ def test_the_target_is_named_as_of_any_command(
     done = CliRunner().invoke(command, ["--web", *options], env=environment)
     assert done.exit_code == 0, done.output
     assert asked == [(target, None if target or not options else "imi_planar")]
+
+
+def test_screens_that_an_error_ended_have_an_exit_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zendsp.cli.tui._need_terminal", lambda: None)
+    monkeypatch.setattr("zendsp.tui.app.ZendspApp.run", lambda app: app._fatal_error())
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    assert CliRunner().invoke(command, []).exit_code == 1

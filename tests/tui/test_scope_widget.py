@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from rich.style import Style
 from textual.app import App, ComposeResult
+from textual.geometry import Region
 from waiting import PATIENCE_S
 
 from zendsp.tui.colours import TraceColours
 from zendsp.tui.scope import Channel, Scope
 from zendsp.tui.scope.measure import whole_words
-from zendsp.tui.scope.path import Axes, Curve, plot_lines
+from zendsp.tui.scope.path import Axes, Curve, PathPlot, plot_lines
 from zendsp.tui.scope.spectrum import ready
 from zendsp.tui.scope.ticks import beside
 
@@ -23,6 +24,12 @@ from zendsp.tui.scope.ticks import beside
 class _Bench(App[None]):
     def compose(self) -> ComposeResult:
         yield Scope(id="scope")
+
+
+class _Both(App[None]):
+    def compose(self) -> ComposeResult:
+        yield Scope(id="scope")
+        yield PathPlot(id="path")
 
 
 def _wave(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -44,6 +51,24 @@ async def test_the_widget_survives_no_data_resizing_and_tiny_sizes() -> None:
             await pilot.pause()
             for row in range(scope.size.height):
                 assert scope.render_line(row).cell_length == scope.size.width
+
+
+async def test_without_colours_the_widgets_survive_to_be_drawn_larger_than_their_last_picture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """NO_COLOR's filter takes no segment without a style, as lines beneath the picture had been:
+    the terminal ended, and with it the run that it had started.
+    """
+    monkeypatch.setenv("NO_COLOR", "1")
+    app = _Both()
+    async with app.run_test(size=(60, 15)) as pilot:
+        app.query_one(Scope).show_channels([Channel("a", "rad")])
+        app.query_one(PathPlot).show([Curve("a", _wave(100)[1])])
+        await pilot.pause()
+        for widget in (app.query_one(Scope), app.query_one(PathPlot)):
+            width, height = widget.size
+            lines = widget.render_lines(Region(0, 0, width, height + 40))
+            assert [line.cell_length for line in lines] == [width] * (height + 40)
 
 
 async def test_a_frozen_picture_keeps_its_data_and_the_history_can_be_visited() -> None:

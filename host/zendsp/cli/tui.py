@@ -146,6 +146,7 @@ def command(
             app.run()
     finally:
         app.session.stops.release_keys()
+    click.get_current_context().exit(app.return_code or 0)  # 1 where an error ended the screens
 
 
 @contextlib.contextmanager

@@ -281,6 +281,9 @@ class Recorder(Transfers):
         """
         _check_seconds(seconds)
         names = [channels] if isinstance(channels, str) else list(channels)
+        twice = [name for k, name in enumerate(names) if name in names[:k]]
+        if twice:  # found out by the recording's end it would cost the recording
+            raise AcquisitionError(f"{twice[0]}: is named twice; name each channel once")
         result: m.AcquireStatus = self.request(
             "acquire_configure", channels=names, seconds=seconds, decimation=decimation,
             trigger=trigger, continuous=continuous, take=take,

@@ -184,8 +184,7 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
             channels.append(Channel(element[0], unit, 1))
         else:
             channels.append(Channel(name, unit))
-    vectors = {c.name for c in channels if c.width > 1}
-    alone = {e[0] for name in columns if (e := split_element(name)) and e[1] == 0} - vectors
+    alone = {e[0] for name in columns if (e := split_element(name)) and e[1] == 0}
     return tuple(
         Channel(f"{c.name}[0]", c.unit) if c.name in alone and c.width == 1 else c for c in channels
     )

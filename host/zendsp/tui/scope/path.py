@@ -257,7 +257,7 @@ class PathPlot(Widget):
     def render_line(self, y: int) -> Strip:
         if not self._lines and self.size.width > GUTTER + 8 and self.size.height > 2:
             self._draw()
-        return self._lines[y] if y < len(self._lines) else Strip.blank(self.size.width)
+        return self._lines[y] if y < len(self._lines) else Strip.blank(self.size.width, Style())
 
 
 def extent(curves: Sequence[Curve]) -> tuple[Floats, Floats]:

@@ -392,7 +392,7 @@ class Scope(Widget, can_focus=True):
     def render_line(self, y: int) -> Strip:
         if not self._strips and self.size.width > GUTTER and self.size.height > 2:
             self._draw()
-        return self._strips[y] if y < len(self._strips) else Strip.blank(self.size.width)
+        return self._strips[y] if y < len(self._strips) else Strip.blank(self.size.width, Style())
 
     def _filters(self) -> list[LineFilter]:
         """The line filters but that for ANSI colours, which the pens do not use."""
