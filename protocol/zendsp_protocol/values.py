@@ -60,7 +60,10 @@ def to_wire(value: Any) -> WireValue:
         raise TypeError(f"a whole number of {value.bit_length()} bits fits no variable")
     if kind is float or kind is int or kind is bool:
         return value  # type: ignore[no-any-return]
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise TypeError(f"{value!r} is no matrix: its rows differ in length") from None
     if isinstance(value, list | tuple):
         _check_mixed(value)
     if array.dtype.kind not in "fiub":

@@ -16,11 +16,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.cli import main
+from zendsp.cli.common import parse_value
 from zendsp.errors import Tripped
 from zendsp.link import Target
 
@@ -351,6 +353,11 @@ def test_ls_warns_that_a_target_elsewhere_may_refuse_a_password() -> None:
 def test_a_decimal_comma_is_refused_with_the_number_that_was_meant(words: str) -> None:
     said = process_of(*words.split()) if words.startswith("target") else zendsp_(*words.split())
     assert said.returncode == 2 and "with a decimal point it is 0.15" in said.stderr, said.stderr
+
+
+def test_numbers_parted_by_a_comma_may_have_been_meant_as_an_array() -> None:
+    with pytest.raises(click.BadParameter, match=r"an array is written \[20000, 600\]"):
+        parse_value("20000,600")
 
 
 def test_target_refuses_a_wrong_option_in_one_line() -> None:

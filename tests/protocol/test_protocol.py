@@ -65,8 +65,12 @@ def test_values_survive_the_wire(value: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "value", ["text", None, 1 + 2j, np.zeros((2, 2, 2)), {"a": 1}, 2**63, -(10**400), 10**4000]
-)
+    "value",
+    [
+        "text", None, 1 + 2j, np.zeros((2, 2, 2)), {"a": 1}, 2**63, -(10**400), 10**4000,
+        [[1, 2, 3], [4, 5]], [[1], 2],
+    ],
+)  # fmt: skip
 def test_what_is_not_a_number_is_refused_as_a_value(value: object) -> None:
     with pytest.raises(TypeError):
         values.to_wire(value)

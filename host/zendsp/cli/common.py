@@ -120,6 +120,7 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
     from zendsp.link.programs import trouble
 
     with connect(name, endpoint) as target:
+        target.programs.outlives = False  # a command says how it leaves the machine
         end_softly()
         refused, cut_short = "", False
         try:
@@ -247,7 +248,8 @@ def parse_value(text: str) -> Any:
                 " the unit that 'zendsp info' shows"
             ) from None
         if point := number_hint(text):
-            raise click.BadParameter(f"{text!r} is not a value{point}") from None
+            array = f", and an array is written [{text.replace(',', ', ')}]" if "," in text else ""
+            raise click.BadParameter(f"{text!r} is not a value{point}{array}") from None
     if isinstance(value, bool | int | float) or _numbers(value):
         return value
     matrix = isinstance(value, list) and value and all(_numbers(row) for row in value)

@@ -40,7 +40,10 @@ def command(
 ) -> None:
     """Change variables, all at the start of one sample or none of them.
 
-    Example:  zendsp set Kp1=450 Kd1=40 --fade 0.5
+    \b
+    Examples:
+      zendsp set Kp1=450 Kd1=40 --fade 0.5
+      zendsp set 'K=[[1, 2], [3, 4]]' 'L[0]=0.5'
     """
     values = parse_assignments(assignments)
     with open_target(target, connect, moves=True) as t:

@@ -11,6 +11,7 @@ import msgspec
 from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, Tripped, ZendspError
 from zendsp.here.stop_page import StopPage, find
 from zendsp.here.stopped import TAKEN_S, at_rest, stopped_at
+from zendsp.link import left_moving
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import DriveState, ProgramState, TripReason
@@ -32,6 +33,7 @@ class Programs(Part):
 
     _page: StopPage | None = None
     _page_of = b""  # run of the target
+    outlives = True  # a program that is started here the process that starts it
 
     def compile(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
         """Compile C code on the target. The running program is not touched.
@@ -122,6 +124,8 @@ class Programs(Part):
     def begin(self, ticks: int | None = None, attended: bool = False) -> None:
         """As `start`, but without looking at the first samples: the caller does."""
         self.request("start", ticks=ticks, attended=attended)
+        if self.outlives:
+            left_moving.started(self)
 
     def pause(self) -> None:
         """Pause the program: outputs are safe, variables keep their values.

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, NoReturn, ParamSpec, TypeVar, overload
 
 from zendsp.errors import LinkError
+from zendsp.link import left_moving
 from zendsp.link.acquire import Recorder
 from zendsp.link.concealed import Concealment
 from zendsp.link.drives import Drives
@@ -107,6 +108,7 @@ class Target:
         self.variables = Variables(requests)
         self.parameter_sets = ParameterSets(requests, self.variables)
         self.programs = Programs(requests)
+        self.programs.outlives = on_close is None
         self.recorder = Recorder(requests, self.parameter_sets)
         self.views = LiveViews(requests)
         self.tables = Tables(requests)
@@ -260,6 +262,7 @@ class Target:
 
     def close(self) -> None:
         """End the connection. A target started by `zendsp.local` ends with it, others go on."""
+        left_moving.ended(self.programs)
         self.link.close()
         if self._on_close is not None:
             on_close, self._on_close = self._on_close, None
@@ -268,7 +271,9 @@ class Target:
     def __enter__(self) -> Target:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            left_moving.say(self.programs)
         self.close()
 
     def _ipython_key_completions_(self) -> list[str]:

@@ -1,0 +1,58 @@
+"""A script that ends and leaves a machine in motion says so: nobody else would."""
+
+from __future__ import annotations
+
+import atexit
+import sys
+import weakref
+from typing import TYPE_CHECKING
+
+from zendsp_protocol.states import HostLost, ProgramState
+
+if TYPE_CHECKING:
+    from zendsp.link.programs import Programs
+    from zendsp_protocol import messages as m
+
+ANSWER_S = 0.5  # that the end of a script waits for a target; a healthy one takes milliseconds
+DOES = {
+    HostLost.STOP: "it stops now",
+    HostLost.HOLD: "it comes to rest now and holds",
+    HostLost.FINISH: "it goes on",
+}
+
+_started: weakref.WeakSet[Programs] = weakref.WeakSet()
+
+
+def started(programs: Programs) -> None:
+    """Note a program that this process started."""
+    _started.add(programs)
+
+
+def ended(programs: Programs) -> None:
+    """Note that its connection is closed on purpose."""
+    _started.discard(programs)
+
+
+def say(programs: Programs) -> None:
+    """Say on standard error what becomes of a program that this process started, if it runs."""
+    if programs not in _started:
+        return
+    _started.discard(programs)
+    link = programs.link
+    try:
+        status: m.Status = link.request("status", {}, ANSWER_S)
+        drive: m.DriveStatus = link.request("drive_status", {}, ANSWER_S)
+    except Exception:  # at the end of a process: what there is to say is said, and no more
+        return
+    if status.state != ProgramState.RUNNING:
+        return
+    words = "the machine moves on: 'zendsp pause' pauses it, 'zendsp stop' stops it"
+    if link.author in (drive.commander, drive.moved_by):
+        words = f"the machine was this script's to command: {DOES[drive.host_lost]}"
+    print(f"zendsp: {link.target}: {words}", file=sys.stderr)
+
+
+@atexit.register  # after that of `background`, and so called before the links are closed
+def _say_all() -> None:
+    for programs in list(_started):
+        say(programs)
