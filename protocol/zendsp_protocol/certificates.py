@@ -23,6 +23,12 @@ def ended(path: str) -> str:
     return _day(end) if end is not None and end < time.time() else ""
 
 
+def ends_within(path: str, days: float) -> str:
+    """Return the day on which a certificate ends, empty where that is later or unknown."""
+    end = _seconds(path, "notAfter")
+    return _day(end) if end is not None and end < time.time() + 86400.0 * days else ""
+
+
 def begins(path: str) -> str:
     """Return the day on which a certificate begins; empty where it has begun."""
     begin = _seconds(path, "notBefore")

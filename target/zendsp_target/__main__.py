@@ -179,8 +179,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         # before the machine is touched
         doors = settle(args.name or machine_title(args.machine), listen, args.connect, security)
-        if doors.sentence:
-            print(f"zendsp target: {doors.sentence}", file=sys.stderr, flush=True)
+        for sentence in filter(None, (doors.sentence, doors.ending)):
+            print(f"zendsp target: {sentence}", file=sys.stderr, flush=True)
         return _serve(args, listen, security)
     except (ZendspError, ValueError, OSError) as error:
         print(f"zendsp target: {error}", file=sys.stderr)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -317,6 +320,23 @@ def test_failing_simulators_are_refused_with_their_own_words(
     assert status == 2 and words in err and len(err.strip().splitlines()) == 1
     with pytest.raises(ModelError):
         diagnose(train, model, jobs=1)
+
+
+def test_a_simulator_whose_library_crashes_is_named_with_its_line(tmp_path: Path) -> None:
+    """It runs in this process, which no sentence survives."""
+    train, _, model = files(tmp_path, reality.Machine(gravity=0.2))
+    model.write_text(model.read_text().replace("pendulum_sim:simulate", "crashing:simulate"))
+    (tmp_path / "crashing.py").write_text(
+        "import os\n\n\ndef simulate(recording, parameters):\n    os.abort()\n"
+    )
+    call = "from zendsp.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", call, "diagnose", train, "--model", model],
+        capture_output=True, text=True, timeout=100,
+    )
+    assert done.returncode == -signal.SIGABRT
+    assert "Fatal Python error: Aborted" in done.stderr
+    assert f'"{tmp_path}/crashing.py", line 5 in simulate' in done.stderr, done.stderr
 
 
 def test_a_recording_that_a_simulator_is_fitted_to_is_not_held_out_as_well(tmp_path: Path) -> None:

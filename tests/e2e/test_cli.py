@@ -110,6 +110,14 @@ void UserISR_INT2(void) { x = 1.0; }
 """
 
 
+def test_info_tells_who_commands_and_what_the_loss_of_that_host_does(target: Target) -> None:
+    assert "\ncommand " not in zendsp_("info").stdout
+    target.take_command()
+    target.set_host_lost("finish")
+    line = f"command    {target.link.author}; if that host is lost: finish\n"
+    assert line in zendsp_("info").stdout + "\n"
+
+
 def test_no_text_of_a_program_or_of_a_file_commands_the_terminal(
     target: Target, tmp_path: Path
 ) -> None:

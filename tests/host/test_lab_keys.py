@@ -219,6 +219,19 @@ def _end(lab: Lab, holder: Holder, later: timedelta = timedelta()) -> None:
     )
 
 
+@pytest.mark.parametrize(("days", "told"), [(29, True), (31, False)])
+def test_a_target_tells_at_its_start_of_a_certificate_that_ends_soon(
+    lab: Lab, days: int, told: bool
+) -> None:
+    """From that day on nobody comes in, and until then nothing shows it."""
+    imi, roles = lab.add_target("imi", days=days), str(lab.folder / "roles.toml")
+    lab.add_user("anna", "tune")
+    secured = Security(str(imi.certificate), str(imi.key), str(lab.folder / "ca.pem"), roles=roles)
+    doors = settle("imi", ["tls/127.0.0.1:0"], [], secured)
+    assert (f"{imi.certificate} ends on 20" in doors.ending) == told
+    assert bool(doors.ending) == told
+
+
 def test_a_persons_key_cannot_serve_as_a_target(lab: Lab, start: Open) -> None:
     """The holder of a person's key cannot pose as a target."""
     anna, bo = lab.add_user("anna", "download"), lab.add_user("bo", "download")

@@ -44,7 +44,7 @@ MAY = {
     "host/zendsp/tui/screens/execute_runs.py": (2, "shown"),
     "host/zendsp/tui/statusbar.py": (1, "shown"),
     "host/zendsp/tui/workspace.py": (3, "the order of a list to choose from"),
-    "protocol/zendsp_protocol/certificates.py": (4, "whether one is good, as TLS judges it"),
+    "protocol/zendsp_protocol/certificates.py": (5, "whether one is good, as TLS judges it"),
     "protocol/zendsp_protocol/stop_page.py": (1, "shown: when somebody asked for STOP"),
     "target/zendsp_target/access/lists.py": (2, "whether a file is another one: equal or not"),
     "target/zendsp_target/runtime/variables/updates.py": (1, "shown: the log, which has ticks"),

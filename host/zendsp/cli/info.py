@@ -53,7 +53,9 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
             "values": values,
             "outside": list(map(str, away)),
         }
+        who = " and ".join(sorted({drive.commander, drive.moved_by} - {""}))
         further = [
+            *([f"command    {who}; if that host is lost: {drive.host_lost}"] if who else []),
             *(f"outside    {joint}" for joint in away),
             *(f"note       {sentence}" for sentence in status.own),
             *([f"next       {steps}"] if steps else []),

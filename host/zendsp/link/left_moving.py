@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from zendsp_protocol.states import HostLost, ProgramState
 
 if TYPE_CHECKING:
-    from zendsp.link.programs import Programs
+    from zendsp.link.link import Link
     from zendsp_protocol import messages as m
 
 ANSWER_S = 0.5  # that the end of a script waits for a target; a healthy one takes milliseconds
@@ -20,25 +20,24 @@ DOES = {
     HostLost.FINISH: "it goes on",
 }
 
-_started: weakref.WeakSet[Programs] = weakref.WeakSet()
+_started: weakref.WeakSet[Link] = weakref.WeakSet()
 
 
-def started(programs: Programs) -> None:
-    """Note a program that this process started."""
-    _started.add(programs)
+def started(link: Link) -> None:
+    """Note the link by which this process started a program."""
+    _started.add(link)
 
 
-def ended(programs: Programs) -> None:
-    """Note that its connection is closed on purpose."""
-    _started.discard(programs)
+def ended(link: Link) -> None:
+    """Note that it is closed on purpose."""
+    _started.discard(link)
 
 
-def say(programs: Programs) -> None:
+def say(link: Link) -> None:
     """Say on standard error what becomes of a program that this process started, if it runs."""
-    if programs not in _started:
+    if link not in _started:
         return
-    _started.discard(programs)
-    link = programs.link
+    _started.discard(link)
     try:
         status: m.Status = link.request("status", {}, ANSWER_S)
         drive: m.DriveStatus = link.request("drive_status", {}, ANSWER_S)
@@ -54,5 +53,5 @@ def say(programs: Programs) -> None:
 
 @atexit.register  # after that of `background`, and so called before the links are closed
 def _say_all() -> None:
-    for programs in list(_started):
-        say(programs)
+    for link in list(_started):
+        say(link)

@@ -125,7 +125,7 @@ class Programs(Part):
         """As `start`, but without looking at the first samples: the caller does."""
         self.request("start", ticks=ticks, attended=attended)
         if self.outlives:
-            left_moving.started(self)
+            left_moving.started(self.link)
 
     def pause(self) -> None:
         """Pause the program: outputs are safe, variables keep their values.

@@ -262,7 +262,7 @@ class Target:
 
     def close(self) -> None:
         """End the connection. A target started by `zendsp.local` ends with it, others go on."""
-        left_moving.ended(self.programs)
+        left_moving.ended(self.link)
         self.link.close()
         if self._on_close is not None:
             on_close, self._on_close = self._on_close, None
@@ -273,7 +273,7 @@ class Target:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
-            left_moving.say(self.programs)
+            left_moving.say(self.link)
         self.close()
 
     def _ipython_key_completions_(self) -> list[str]:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from zendsp_isr.confine import landlock_version
 from zendsp_protocol import keys, registry
-from zendsp_protocol.certificates import begins, ended
+from zendsp_protocol.certificates import begins, ended, ends_within
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, Verb
 from zendsp_target.access.endpoints import Security, check, check_connect, is_local
@@ -27,6 +27,7 @@ LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
 # need no role: without the others, nobody could connect to stop it, and see that it stopped
 OPEN = ("stop", "stopped", "status", "info")
 ENCRYPTED = ("tls", "quic")
+SOON_DAYS = 30.0  # a certificate that ends within them is told of at the start
 EVERYWHERE = f"{keys.ROOT}/**"
 
 
@@ -69,6 +70,14 @@ class Doors:
         """Who is let in by name, and with which role, in a sentence; empty where nobody is."""
         who = ", ".join(f"{name} ({self.role_of(name)})" for name in self.named)
         return f"lets in: {who}" if who else ""
+
+    @property
+    def ending(self) -> str:
+        """That a certificate of the target ends soon, in a sentence; empty where none does."""
+        for file in (self.security.certificate, self.security.authority):
+            if file and (day := ends_within(file, SOON_DAYS)):
+                return f"{file} ends on {day}: no host comes in from then on, not even to stop"
+        return ""
 
     def role_of(self, user: str) -> str:
         """The role of a user whom the access control let in, empty where the user has none."""

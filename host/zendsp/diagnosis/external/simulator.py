@@ -4,6 +4,8 @@ its input.
 
 from __future__ import annotations
 
+import contextlib
+import faulthandler
 import importlib
 import importlib.util
 import sys
@@ -41,9 +43,14 @@ class Simulator(Protocol):
 
 
 class Entry:
-    """The Python function that ``entry`` names; it is called in this process."""
+    """The Python function that ``entry`` names; it is called in this process, so that a crash of
+    its libraries ends it too: the last lines then name the line of the simulator.
+    """
 
     def __init__(self, model: Model) -> None:
+        if not faulthandler.is_enabled():
+            with contextlib.suppress(AttributeError, OSError, ValueError):  # no standard error
+                faulthandler.enable(sys.__stderr__ or sys.stderr, all_threads=False)
         self.function, self.name = load_entry(model), f"the simulator {model.entry!r}"
 
     def run(self, recordings: Sequence[Columns], parameters: Parameters) -> list[Array]:
