@@ -16,7 +16,7 @@ static const char *of_joint(const machine_joint *j) {
     if (!isfinite(j->zero_counts))
         return "zero_counts is no number";
     if (!(j->position_min < j->position_max))
-        return "position_min is not below position_max";
+        return "position_min is not below position_max, or one is no number";
     if (!(j->speed_max > 0.0))
         return "speed_max is not above 0: give what the joint bears";
     if (!(j->torque_max >= 0.0))
