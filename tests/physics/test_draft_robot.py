@@ -115,3 +115,18 @@ def test_the_command_line_takes_the_robot_beside_the_recording(
     assert load_model(out).robot.joints == ("elbow",)
     checked = CliRunner().invoke(command, ["check", str(out)])
     assert "  link that joint 1 moves: b\n" in checked.output, checked.output
+
+
+def test_friction_that_a_urdf_states_is_stated_in_the_draft(robot: Path) -> None:
+    """A student whose URDF had a damping was told that it was missing."""
+    text = robot.read_text()
+    for name, words in {"elbow": 'damping="0.05"', "wrist": 'damping="x" friction="0.2"'}.items():
+        at = f'<joint name="{name}" type="revolute">'
+        text = text.replace(at, f"{at}<dynamics {words}/>")
+    robot.write_text(text)
+    drawn = draft_model(table("elbow", "shoulder", "wrist"), robot=robot, folder=robot.parent)
+    assert tomllib.loads(drawn.text)["effect"] == [
+        {"kind": "viscous", "joint": 2, "coefficient": {"value": 0.05}},
+        {"kind": "coulomb", "joint": 3, "level": {"value": 0.2}},
+    ]
+    assert "# damping of elbow in arm.urdf" in drawn.text

@@ -13,7 +13,7 @@ from pathlib import Path
 from zendsp.errors import ModelError
 from zendsp.physics.files.draft_data import Group, one_or_each
 from zendsp.physics.files.draft_tables import Page, put_effects
-from zendsp.physics.robots.urdf import urdf_coupled, urdf_joints
+from zendsp.physics.robots.urdf import urdf_coupled, urdf_friction, urdf_joints
 from zendsp.recording.roles import Role
 from zendsp_protocol.texts import counted
 
@@ -113,3 +113,20 @@ def put_robot(page: Page, robot: Path, folder: Path, position: Group, unit: str)
     which = named or joints[:count]
     page.line(f"joints = {json.dumps(which, ensure_ascii=False)}", "in the file's order", ask)
     put_effects(page, "N m s/rad, N s/m where the joint slides")
+    if KINDS[robot.suffix.lower()] == "urdf":  # an MJCF's own friction is the model's
+        _put_friction(page, robot, which)
+
+
+def _put_friction(page: Page, robot: Path, joints: Sequence[str]) -> None:
+    """The friction that a URDF states, which no model of kind urdf reads."""
+    stated = urdf_friction(str(robot))
+    for joint, name in enumerate(joints, 1):
+        laws = zip(("viscous", "coulomb"), ("coefficient", "level"), ("damping", "friction"),
+                   stated.get(name, (0.0, 0.0)), strict=True)  # fmt: skip
+        for law, key, word, value in laws:
+            if value:
+                page.line()
+                page.line("[[effect]]", f"{word} of {name} in {robot.name}")
+                page.line(f'kind = "{law}"')
+                page.line(f"joint = {joint}")
+                page.line(f"{key} = {{ value = {value!r} }}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,6 +56,28 @@ def urdf_coupled(path: str) -> list[str]:
     """Names of the joints of a URDF that follow another (``<mimic>``) or are followed."""
     urdf_joints(path)  # refuses what is no URDF
     return sorted(_coupled(ET.parse(Path(path)).getroot().findall("joint")))
+
+
+def urdf_friction(path: str) -> dict[str, tuple[float, float]]:
+    """``damping`` (N m s/rad or N s/m) and ``friction`` (N m or N) that a URDF states, by joint:
+    those that are numbers above 0, 0 in place of the others.
+    """
+    urdf_joints(path)  # refuses what is no URDF
+    stated = {}
+    for joint in ET.parse(Path(path)).getroot().findall("joint"):
+        words = found.attrib if (found := joint.find("dynamics")) is not None else {}
+        damping, friction = (_above_zero(words.get(key, "")) for key in ("damping", "friction"))
+        if damping or friction:
+            stated[joint.get("name", "")] = damping, friction
+    return stated
+
+
+def _above_zero(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        return 0.0
+    return value if 0.0 < value < math.inf else 0.0
 
 
 def _opened(path: str, moving: tuple[str, ...] | None) -> tuple[list[Body], list[str]]:
