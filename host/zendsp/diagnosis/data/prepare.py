@@ -74,7 +74,8 @@ def of_one_sensor(parts: Sequence[Sequence[Signals]]) -> list[list[Signals]]:
 def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     """One recording as its joints."""
     joints = s.position.shape[1]
-    known = _accelerations(s, model)
+    masses = _masses(s, model)
+    known = _accelerations(s, model, masses)
     smoothed = [_motion(s, j, known) for j in range(joints)]
     within = [within_samples(motion.states, s.sample_time) for _, motion in smoothed]
     others = np.ascontiguousarray(np.stack(within))
@@ -87,7 +88,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             f" 'urdf', 'mjcf' or 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
         )
     weights = _weights(model, within)
-    beside = _beside(s, model, smoothed)
+    beside = _beside(s, masses, smoothed)
     return tuple(
         JointRecord(
             joint=j + 1,
@@ -127,7 +128,24 @@ def _motion(s: Signals, j: int, known: Array) -> tuple[Measurement, Motion]:
     return measurement, smooth(measurement, s.sample_time, known[:, j])
 
 
-def _accelerations(s: Signals, model: Model) -> Array:
+def _masses(s: Signals, model: Model) -> Array | None:
+    """Mass matrices of an arm's bodies, one every ``_every(s)`` rows, (poses, joints, joints);
+    None where the joints are not coupled, or not known to be.
+    """
+    poses = s.position[:: _every(s)]
+    if model.called is not None:
+        return np.asarray(model.called.masses(poses))
+    if model.kind not in TREES:
+        return None
+    return mass_matrices(recorded_tree(model, poses.shape[1])[0], poses)
+
+
+def _every(s: Signals) -> int:
+    """Rows from one of the poses to the next."""
+    return max(1, round(POSES / s.sample_time))
+
+
+def _accelerations(s: Signals, model: Model, masses: Array | None) -> Array:
     """Acceleration of the joints by the commands in the given model, without gravity and velocity
     terms, (n, joints, parts): by a joint's own command, and by the others'.
 
@@ -136,37 +154,30 @@ def _accelerations(s: Signals, model: Model) -> Array:
     """
     joints = range(1, s.position.shape[1] + 1)
     torque = s.command * [per_joint(model.actuator.gain, j, 1.0) for j in joints]
-    if model.kind not in TREES and model.called is None:
+    if masses is None:
         return (torque / [_inertia(model, j) for j in joints])[:, :, np.newaxis]
     rows = np.arange(len(torque))
     late = model.actuator.delay / s.sample_time
     torque = np.stack([np.interp(rows - late, rows, row) for row in torque.T], axis=1)
-    every = max(1, round(POSES / s.sample_time))
-    if model.called is not None:
-        masses = model.called.masses(s.position[::every])
-    else:
-        masses = mass_matrices(recorded_tree(model, len(joints))[0], s.position[::every])
-    masses += np.diag([added_inertia(model, j) for j in joints])
-    inverse = np.linalg.pinv(masses, hermitian=True)[rows // every]
+    moved = masses + np.diag([added_inertia(model, j) for j in joints])
+    inverse = np.linalg.pinv(moved, hermitian=True)[rows // _every(s)]
     own = np.einsum("nii,ni->ni", inverse, torque)
     every_one = np.einsum("nij,nj->ni", inverse, torque)
     return np.stack([own, every_one - own], axis=2)
 
 
 def _beside(
-    s: Signals, model: Model, smoothed: Sequence[tuple[Measurement, Motion]]
+    s: Signals, masses: Array | None, smoothed: Sequence[tuple[Measurement, Motion]]
 ) -> Array | None:
     """Torques that errors of the other joints' accelerations make through the mass matrix, (joints,
     n): one draw. None where the joints are not coupled, or not known to be.
     """
-    if len(smoothed) < 2 or model.kind not in TREES:
+    if len(smoothed) < 2 or masses is None:
         return None
     errors = np.stack([blurred(seen, s.sample_time, motion) for seen, motion in smoothed], axis=1)
-    every = max(1, round(POSES / s.sample_time))
-    masses = mass_matrices(recorded_tree(model, len(smoothed))[0], s.position[::every])
-    masses *= 1.0 - np.eye(len(smoothed))
-    rows = np.arange(len(errors)) // every
-    return np.asarray(np.einsum("nij,nj->in", masses[rows], errors))
+    coupling = masses * (1.0 - np.eye(len(smoothed)))
+    rows = np.arange(len(errors)) // _every(s)
+    return np.asarray(np.einsum("nij,nj->in", coupling[rows], errors))
 
 
 def _between(s: Signals, model: Model, j: int) -> float:

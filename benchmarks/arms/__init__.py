@@ -1,0 +1,1 @@
+"""What `benchmarks/forms.py` makes: arms, how they really move, and files that describe them."""
