@@ -22,11 +22,11 @@ from zendsp.diagnosis.decide.pieces import rubs
 from zendsp.diagnosis.decide.result import FitTable, Left
 from zendsp.diagnosis.external.asked import State
 from zendsp.diagnosis.external.columns import Columns, Parameters
-from zendsp.diagnosis.external.friction_inside import FrictionInside
 from zendsp.diagnosis.external.inner_body import without_parts
+from zendsp.diagnosis.external.inside import Inside
 from zendsp.diagnosis.external.numbers import as_given, expanded, folded
 from zendsp.diagnosis.external.rigid import BENT, Called
-from zendsp.diagnosis.external.rigid_check import friction_inside, rigid
+from zendsp.diagnosis.external.rigid_check import rigid, terms_inside
 from zendsp.errors import ModelError
 from zendsp.physics import load_model
 from zendsp.physics.model import Model, Quantity
@@ -144,7 +144,7 @@ def test_inertia_and_torque_of_a_simulator_are_those_of_its_equations() -> None:
 def test_the_friction_inside_a_simulator_is_a_term_of_its_model(level: float) -> None:
     """What lacked at standstill was a push where it was not; its own number is no law to find."""
     simulator = called(numbers={**ARM, "dry": level})
-    inside, given = friction_inside(simulator), simulator.model
+    inside, given = terms_inside(simulator), simulator.model
     assert inside.sizes["coulomb"] == pytest.approx((0.0, level), rel=0.01)
     assert inside.sizes["viscous"] == pytest.approx((0.0, ARM["b"]), rel=0.02)
     model = inside.added_to(given)
@@ -157,7 +157,7 @@ def test_the_friction_inside_a_simulator_is_a_term_of_its_model(level: float) ->
 
 
 def test_the_friction_inside_takes_the_freedom_of_its_number_and_gives_it_back_its_value() -> None:
-    inside = FrictionInside({"coulomb": (0.0, 0.03)}, {"coulomb": {"dry": (0.0, 0.5)}})
+    inside = Inside({"coulomb": (0.0, 0.03)}, {"coulomb": {"dry": (0.0, 0.5)}})
     numbers = {"dry": (Quantity(0.06, free=True),), "m": (Quantity(1.0, free=True),)}
     given = Model("arm", H, "python", numbers)
     model = inside.added_to(given)
@@ -172,7 +172,7 @@ def test_the_friction_inside_takes_the_freedom_of_its_number_and_gives_it_back_i
 
 
 def test_friction_beside_that_inside_stays_a_term_of_its_own() -> None:
-    inside = FrictionInside({"coulomb": (0.0, 0.03)}, {"coulomb": {}})
+    inside = Inside({"coulomb": (0.0, 0.03)}, {"coulomb": {}})
     given = Model("arm", H, "python", {"m": (Quantity(1.0),)})
     beside = term_at(inside.added_to(given), 0.01)  # the user's own
     model = inside.added_to(beside)
@@ -197,8 +197,8 @@ def test_a_simulator_that_sticks_gives_the_torques_of_its_body() -> None:
     """
     numbers = {**ARM, "dry": 0.03, "b": 0.0}
     plain, sticks = called(numbers={**ARM, "b": 0.0}), called(Sticking(), numbers)
-    sticks.friction = friction_inside(sticks)
-    sticks.model = sticks.friction.added_to(sticks.model)
+    sticks.inside = terms_inside(sticks)
+    sticks.model = sticks.inside.added_to(sticks.model)
     state = motion(400)
     rows = list(np.stack([state.q, state.qd, state.qdd]).transpose(2, 0, 1))
     for j, (one, other) in enumerate(zip(plain.bases(rows), sticks.bases(rows), strict=True)):

@@ -292,6 +292,11 @@ class Model:
             ]
         )
 
+    @property
+    def of_bodies(self) -> bool:
+        """Whether bodies couple its joints: an arm's from a file, or those inside a simulator."""
+        return self.kind in TREES or self.called is not None
+
     def joint_kind(self, joint: int) -> str:
         """``"rotary"`` or ``"linear"`` for joint 1, 2, …"""
         if self.joint_kinds:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from zendsp.physics.calibration.fit import TOO_FAR
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.kernel.smooth import moving_mean
-from zendsp.physics.model import TREES, Model, per_joint
+from zendsp.physics.model import Model, per_joint
 from zendsp.physics.robots.bodies import body_terms
 from zendsp.physics.term_numbers import added_inertia
 
@@ -90,7 +90,7 @@ def _estimates(
     """
     systems = [_system(record, model, window) for record in records]
     a, y = (np.concatenate(parts) for parts in zip(*systems, strict=True))
-    others = len(records[0].others) - 1 if model.kind in TREES else 0
+    others = len(records[0].others) - 1 if model.of_bodies else 0
     return [_estimate(a[:, :count], y) for count in (a.shape[1], a.shape[1] - 3 * others)]
 
 
@@ -146,7 +146,7 @@ def _system(rec: JointRecord, model: Model, window: float) -> tuple[Array, Array
     if model.kind == "rotary":
         columns += [np.sin(q), np.cos(q)]
     for other in range(rec.others.shape[0]):
-        if other + 1 != rec.joint and model.kind in TREES:
+        if other + 1 != rec.joint and model.of_bodies:
             _, vd, vdd = rec.others[other]
             columns += [vd, vdd, np.tanh((qd + vd) / slow)]
     # a sticking joint balances any torque up to its friction: only sliding shows the inertia

@@ -74,7 +74,7 @@ def shifted(
     late = [] if TIMES.keys() & set(found) else _later(given, decision, whole, test)
     if late or sprung or "torque_gain" in found:
         return late
-    if given.kind in TREES:
+    if given.of_bodies:
         return _rotor(given, decision, whole, test)
     if given.kind not in ("rotary", "linear"):
         return []

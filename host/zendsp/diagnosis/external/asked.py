@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.external.columns import Columns, Parameters
-from zendsp.diagnosis.external.friction_inside import DRY, FrictionInside
+from zendsp.diagnosis.external.inside import DRY, Inside
 from zendsp.diagnosis.external.numbers import folded
 from zendsp.diagnosis.external.simulator import Simulator
 from zendsp.diagnosis.progress import Progress, Step
@@ -43,6 +43,11 @@ class State:
         """The motion at some rows."""
         return State(self.q[rows], self.qd[rows], self.qdd[rows])
 
+    def no_slower(self, least: Array) -> State:
+        """The motion, slow joints made faster, their own way."""
+        qd = np.where(self.qd < 0.0, np.minimum(self.qd, -least), np.maximum(self.qd, least))
+        return replace(self, qd=qd)
+
     def __len__(self) -> int:
         return len(self.q)
 
@@ -65,7 +70,7 @@ class Asked:
         Receives a sentence while states are simulated.
     calls : int
         Simulations so far, of a few rows each.
-    friction : FrictionInside
+    inside : Inside
         What is inside the simulator, without which its torques are given.
     """
 
@@ -77,7 +82,7 @@ class Asked:
     about: dict[str, float]
     tell: Progress = print
     calls: int = 0
-    friction: FrictionInside = field(default_factory=FrictionInside)
+    inside: Inside = field(default_factory=Inside)
     seconds: float = math.inf  # a state takes, with its restart: the shortest, whatever else runs
     asked: int = 0  # states that the present motion needs
     begun: int = 0  # ``calls`` before it
@@ -94,12 +99,12 @@ class Asked:
     def slow(self, qd: Array) -> npt.NDArray[np.bool_]:
         """Where joints with dry friction inside are so slow that they may stick, (n, joints)."""
         slow: npt.NDArray[np.bool_] = np.abs(qd) < SLIDES * np.std(self.probe.qd, axis=0)
-        return slow & (np.array(self.friction.sizes.get(DRY, 0.0)) > 0.0)
+        return slow & (np.array(self.inside.sizes.get(DRY, 0.0)) > 0.0)
 
     def sliding(self, at: State) -> State:
         """States in which no joint may stick: slow ones move a little faster, their own way."""
-        slow, least = self.slow(at.qd), SLIDES * np.std(self.probe.qd, axis=0)
-        return replace(at, qd=np.where(slow, np.where(at.qd < 0.0, -least, least), at.qd))
+        rubs = np.array(self.inside.sizes.get(DRY, 0.0)) > 0.0
+        return at.no_slower(rubs * SLIDES * np.std(self.probe.qd, axis=0))
 
     def accelerations(self, at: State, torque: Array, numbers: Parameters) -> Array:
         """Acceleration in some states under a torque, (n, joints)."""

@@ -49,6 +49,7 @@ STATES_ASKED = 48  # at which a simulator is asked whether it is a rigid body
 # of a joint's torque: the derivatives by the numbers are no longer those. An arm that is linear in
 # its numbers is off by 1e-4, one by masses and lengths that are off by a tenth, by 3e-2
 BENT = 1e-3
+FAST = 1.0  # of the speed: a joint stops in no answer of two rows, whatever its weight does
 REVERSES = 0.1  # of the speed: slower is a reversal
 NOT_ITS_OWN = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
 MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
@@ -69,8 +70,9 @@ class Near:
     answer : ndarray, shape (n, joints)
         Acceleration by ``torque``.
     first : ndarray, shape (n, joints, joints)
-        Mass matrices where a pushed simulator begins as any other, under the torque of its
-        friction: with what its speed adds.
+        Mass matrices where a pushed simulator begins as any other: with what its speed adds.
+    before : ndarray, shape (n, joints)
+        Torque with which ``first`` was asked for: roughly that of the motion.
     good : ndarray, shape (states asked for,)
         Which of them these are.
     """
@@ -81,6 +83,7 @@ class Near:
     rest: Array
     answer: Array
     first: Array
+    before: Array
     good: npt.NDArray[np.bool_]
 
 
@@ -139,9 +142,12 @@ class Called(Asked):
         return self.known[key]
 
     def masses(self, position: Array) -> Array:
-        """Mass matrices at some positions (n, joints), in passing: (n, joints, joints)."""
+        """Mass matrices at some positions (n, joints), in passing and without rotors: (n, joints,
+        joints).
+        """
         still = np.zeros_like(position)
-        return self._body(self.sliding(State(position, still, still)), still, self.numbers())[0]
+        at = self.sliding(State(position, still, still))
+        return self._body(at, still, self.numbers())[0] - np.diag(self.inside.rotors(self.joints))
 
     def _along(self, motion: State) -> list[dict[str, Basis]]:
         n, rows = len(motion), np.arange(len(motion))
@@ -154,14 +160,15 @@ class Called(Asked):
             return _between(poses, values, rows)
 
         mass = everywhere(near.mass)
-        torque = everywhere(near.torque - self.friction.torque(near.at.qd))
+        torque = everywhere(near.torque - self.inside.friction(near.at.qd))
         torque = self._torque(motion, torque, mass)
         slope = everywhere(np.stack([self._slope(near, j) for j in range(self.joints)], axis=1))
         changes = {}
         for key in self.free:
             dm, dh = (everywhere(x) for x in self.moved(near, key))
             changes[key] = dm, _times(dm, motion.qdd) + dh
-        out = []
+        rotors, out = self.inside.rotors(self.joints), []
+        mass, torque = mass - np.diag(rotors), torque - rotors * motion.qdd
         for j in range(self.joints):
             own = {k: (dm[:, j, j], dt[:, j]) for k, (dm, dt) in changes.items()}
             felt = {k: x for k, x in own.items() if self._feels(k, j, x[1], torque[:, j])}
@@ -185,7 +192,7 @@ class Called(Asked):
     def _needed(self, states: int) -> int:
         """Simulations for so many states."""
         moved = sum(2 + (1 + self.joints) * self.in_mass.get(k, True) for k in self.free)
-        return states * (2 * (1 + self.joints) + 1 + self.joints + moved)
+        return states * (4 * (1 + self.joints) + moved)
 
     def _every(self, motion: State) -> int:
         """Rows between the states at which the mass matrix is asked for: fewer in a fast motion."""
@@ -198,14 +205,18 @@ class Called(Asked):
     def near(self, at: State) -> Near:
         """What the simulator is in some states, where its joints slide."""
         at = self.sliding(at)
-        first, rest, _ = self._body(at, self.friction.torque(at.qd), self.numbers())
+        fast = at.no_slower(FAST * np.std(self.probe.qd, axis=0))
+        roughly, rest, _ = self._body(fast, self.inside.friction(fast.qd), self.numbers())
+        before = _times(roughly, at.qdd) + rest
+        first, rest, _ = self._body(at, before, self.numbers())
         torque = _times(first, at.qdd) + rest
         mass, rest, answer = self._body(at, torque, self.numbers(), first)
         good = _alike(first, mass)
         if np.mean(good) < RIGID_SHARE:
             good[:] = True
         return Near(
-            at.at(good), torque[good], mass[good], rest[good], answer[good], first[good], good
+            at.at(good), torque[good], mass[good], rest[good], answer[good], first[good],
+            before[good], good,
         )
 
     def _body(
@@ -223,8 +234,9 @@ class Called(Asked):
             base = self.accelerations(at, torque, numbers)
         answers = []
         for j in range(self.joints):
-            more, push = torque.copy(), PUSHED * self.torque[j]
+            more, push = torque.copy(), PUSHED * self.torque[j] * np.where(at.qd[:, j] < 0, -1, 1)
             more[:, j] += push
+            push = push[:, None]  # onwards, so that what slides goes on
             pushed = at if gives is None else replace(at, qdd=at.qdd + push * gives[:, :, j])
             answers.append((self.accelerations(pushed, more, numbers) - base) / push)
         mass: Array = np.asarray(np.linalg.pinv(np.stack(answers, axis=2)))
@@ -248,20 +260,16 @@ class Called(Asked):
         numbers = self.numbers(**{key: self.about[key] + step})
         if key not in self.in_mass:
             some = np.unique(np.linspace(0, len(at) - 1, STATES_ASKED).astype(int))
-            change = self._first(near, numbers, some) - near.first[some]
+            change = self._body(at.at(some), near.before[some], numbers)[0] - near.first[some]
             self.in_mass[key] = bool(np.abs(change).max() > MOVES_MASS * np.abs(near.mass).max())
         change = np.zeros_like(near.mass)
         if self.in_mass[key]:  # what a pushed simulator's speed adds is in both
-            change = self._first(near, numbers, np.arange(len(at))) - near.first
+            change = self._body(at, near.before, numbers)[0] - near.first
         came = self.accelerations(at, torque, numbers)
         came = self.accelerations(replace(at, qdd=came), torque, numbers)
         rest = torque - _times(near.mass + change, came)
         return change / step, (rest - near.rest) / step
 
-    def _first(self, near: Near, numbers: Parameters, some: Any) -> Array:
-        """Mass matrices as ``Near.first`` with other numbers, at some of its states."""
-        at = near.at.at(some)
-        return self._body(at, self.friction.torque(at.qd), numbers)[0]
 
     # ---- numbers in which the torque is not linear
 
@@ -323,7 +331,7 @@ class Called(Asked):
         starts, most = np.arange(0, n, self._run), self._run
         numbers, out = self.numbers(), torque.copy()
         rows = np.minimum(starts[:, None] + np.arange(most), n - 1)
-        held = (torque + self.friction.torque(motion.qd))[rows].mean(axis=1)
+        held = (torque + self.inside.friction(motion.qd))[rows].mean(axis=1)
         for count in np.unique(np.minimum(most, n - starts)):
             some = np.minimum(most, n - starts) == count
             at = rows[some][:, :count]
@@ -331,7 +339,7 @@ class Called(Asked):
             came = np.diff(answer, 2, axis=1) / self.sample_time**2  # (windows, count, joints)
             off = motion.qdd[at] - came
             out[at] = held[some][:, None] + np.einsum("wcij,wcj->wci", mass[at], off)
-        out -= self.friction.torque(motion.qd)
+        out -= self.inside.friction(motion.qd)
         near = self._turns(motion.qd)
         if near.any():
             out[near] = self._turning(motion.at(near), torque[near], mass[near])
@@ -350,7 +358,7 @@ class Called(Asked):
         """
 
         def asked(there: State, torque: Array, mass: Array) -> Array:
-            rubbing = self.friction.torque(there.qd)
+            rubbing = self.inside.friction(there.qd)
             came = self.accelerations(there, torque + rubbing, self.numbers())
             # a simulator that gets the torque of the motion passes it; what it falls behind is told
             return torque + _times(mass, there.qdd - came)

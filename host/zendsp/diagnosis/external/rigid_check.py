@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,8 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.regression import look
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.contract import listed
-from zendsp.diagnosis.external.asked import ROWS_EACH, State
-from zendsp.diagnosis.external.friction_inside import DRY, FLUID, FrictionInside, Sizes
+from zendsp.diagnosis.external.asked import ROWS_EACH, SLIDES, State
+from zendsp.diagnosis.external.inside import DRY, FLUID, ROTOR, Inside, Sizes
 from zendsp.diagnosis.external.likeness import same_shape
 from zendsp.diagnosis.external.numbers import expanded
 from zendsp.diagnosis.external.rigid import (
@@ -43,6 +43,8 @@ ANEW_AFTER = 0.02  # s: after which it is started anew from where it is
 NUMBERS_TRIED = 0.1  # of the numbers: whether the torque is linear in them
 # of the speed: slower joints are made faster in states at which a simulator is asked what it is
 MOVES = 0.3
+KEPT_UP = 3  # corrections of a torque, until it keeps up a speed
+SLOWER = 10.0, 2.0, 1.0  # times REVERSES: speeds at which friction is asked for, the last two for it
 STATES_FITTED = 300  # states to which numbers are fitted roughly
 FITS = 2  # the second about the numbers of the first
 # of a joint's torque: less is no friction, since rigid bodies differ by up to 0.4 %
@@ -73,7 +75,8 @@ def rigid(
     names = expanded(model)
     values = {k: q[0].value for k, q in names.mechanism.items()}
     torque = np.abs(gains) * effort
-    probe = _moving(states.at(some))
+    # friction inside makes slow joints stick or turn, and a push is answered by less than the body
+    probe = states.at(some).no_slower(MOVES * np.std(states.qd[some], axis=0))
     called = Called(names, simulator, s.sample_time, torque, probe, values, tell)
     try:
         why = _unlike_a_body(called, called.probe, gains * s.command[some])
@@ -83,29 +86,25 @@ def rigid(
         why = f"cannot be called for a few rows ({error})"
     if why:
         return why
-    called.friction = friction_inside(called)
-    called.model = called.friction.added_to(names)
+    called.inside = terms_inside(called)
+    called.model = called.inside.added_to(names)
     called.weight = weight_inside(called)
     _straighten(called, s, gains)
     return called
 
 
-def friction_inside(called: Called) -> FrictionInside:
-    """The friction inside a simulator: half of what the torque of each joint changes by with the
-    direction, at two low speeds and from these at none.
+def terms_inside(called: Called) -> Inside:
+    """What is a term of the model inside a simulator. Friction is half of what the torque of each
+    joint changes by with the direction, at two low speeds and from these at none; a rotor is what
+    numbers say.
     """
     near = called.near(called.probe)
     dry, fluid = np.zeros((2, called.joints))
     for j in range(called.joints):
-        slow, halves = REVERSES * float(np.std(near.at.qd[:, j])), []
-        for times in (1.0, 2.0):
-            qd = np.zeros_like(near.at.qd)
-            qd[:, j] = times * slow
-            there, back = (_answer(called, near, way * qd) for way in (1.0, -1.0))
-            change = np.einsum("ni,ni->n", near.mass[:, j], back - there)
-            halves.append(0.5 * float(np.median(change)))
-        dry[j] = 2.0 * halves[0] - halves[1]
-        fluid[j] = (halves[1] - halves[0]) / slow
+        at = [times * REVERSES * float(np.std(near.at.qd[:, j])) for times in SLOWER]
+        *_, twice, once = _against(called, near, j, at)
+        dry[j] = 2.0 * once - twice
+        fluid[j] = (twice - once) / at[-1]
     numbers, sizes = _numbers(called, near), {}
     speed = np.sqrt(np.mean(near.at.qd**2, axis=0))
     for effect, found, torque in ((DRY, dry, dry), (FLUID, fluid, fluid * speed)):
@@ -118,14 +117,36 @@ def friction_inside(called: Called) -> FrictionInside:
             key: units for key, units in numbers[effect].items()
             if all(x > 0.0 for x, unit in zip(size, units, strict=True) if unit)
         }  # fmt: skip
-    return FrictionInside(sizes, numbers)
+    rotors = np.zeros(called.joints)
+    for key, units in numbers[ROTOR].items():
+        rotors += called.about[key] * np.array(units)
+    sizes[ROTOR] = tuple(float(x) for x in rotors)
+    return Inside(sizes, numbers)
 
 
-def _answer(called: Called, near: Near, qd: Array) -> Array:
-    """The accelerations with other speeds (n, joints), by the torques of the motion."""
+def _against(called: Called, near: Near, j: int, speeds: Sequence[float]) -> list[float]:
+    """The torque against a joint's motion (from 0) at some speeds: half of its change with the
+    direction. The others move, so that none sticks; both ways, so that what they add cancels.
+    """
+    out = np.zeros((len(speeds), len(near.at)))
+    for others, way in product((1.0, -1.0), (1.0, -1.0)):
+        qd, torque = others * near.at.qd, near.torque
+        for k, speed in enumerate(speeds):
+            qd[:, j] = way * speed
+            torque = _kept_up(called, near, qd, torque)
+            out[k] += 0.25 * way * torque[:, j]
+    return [float(x) for x in np.median(out, axis=1)]
+
+
+def _kept_up(called: Called, near: Near, qd: Array, torque: Array) -> Array:
+    """The torques that keep up other speeds (n, joints), from nearly these: a joint that stops by
+    its friction tells little of it.
+    """
     at = State(near.at.q, qd, np.zeros_like(qd))
-    came = called.accelerations(at, near.torque, called.numbers())
-    return called.accelerations(replace(at, qdd=came), near.torque, called.numbers())
+    for _ in range(KEPT_UP):
+        came = called.accelerations(at, torque, called.numbers())
+        torque = torque - np.einsum("nij,nj->ni", near.mass, came)
+    return torque
 
 
 def weight_inside(called: Called) -> tuple[float, float] | None:
@@ -135,9 +156,9 @@ def weight_inside(called: Called) -> tuple[float, float] | None:
     if called.joints > 1 or called.model.joint_kind(1) == "linear":
         return None
     near = called.near(called.probe)
-    both = [_answer(called, near, way * near.at.qd)[:, 0] for way in (1.0, -1.0)]
     # friction is against either
-    still = near.torque[:, 0] - near.mass[:, 0, 0] * 0.5 * (both[0] + both[1])
+    both = [_kept_up(called, near, way * near.at.qd, near.torque) for way in (1.0, -1.0)]
+    still = 0.5 * (both[0] + both[1])[:, 0]
     q = near.at.q[:, 0]
     shapes = np.stack([np.sin(q), np.cos(q), np.ones_like(q)], axis=1)
     along, across, _ = np.linalg.lstsq(shapes, still, rcond=1e-9)[0]
@@ -147,16 +168,21 @@ def weight_inside(called: Called) -> tuple[float, float] | None:
 
 
 def _numbers(called: Called, near: Near) -> dict[str, dict[str, Sizes]]:
-    """By effect: what a unit of each number adds to friction, of those that do nothing else."""
+    """By effect: what a unit of each number adds to the joints' sizes, of those that do nothing
+    else.
+    """
     shapes = {DRY: np.sign(near.at.qd), FLUID: near.at.qd}
-    out: dict[str, dict[str, Sizes]] = {effect: {} for effect in shapes}
+    out: dict[str, dict[str, Sizes]] = {effect: {} for effect in (*shapes, ROTOR)}
     for key, items in called.model.mechanism.items():
         value = items[0].value
         if not value:
             continue
         change, rest = called.moved(near, key)
         felt = abs(value) * np.sqrt(np.mean(rest**2, axis=0)) > NOT_ITS_OWN * called.torque
-        if np.any(change) or not any(felt):
+        if np.any(change):
+            own = _on_own_joint(change)
+            if called.joints > 1 and own is not None and not any(felt):
+                out[ROTOR][key] = own
             continue
         for effect, shape in shapes.items():
             if all(same_shape(shape[:, j], rest[:, j]) for j in np.flatnonzero(felt)):
@@ -165,13 +191,14 @@ def _numbers(called: Called, near: Near) -> dict[str, dict[str, Sizes]]:
     return out
 
 
-def _moving(states: State) -> State:
-    """The states with slow joints moving, their own way: where friction inside makes them stick or
-    turn, a push is answered by less than the body.
+def _on_own_joint(change: Array) -> Sizes | None:
+    """What a number adds to the inertia of each joint, where it is the same at all poses and no
+    other joint feels it; else None.
     """
-    least = MOVES * np.std(states.qd, axis=0)
-    qd = np.where(states.qd < 0.0, np.minimum(states.qd, -least), np.maximum(states.qd, least))
-    return replace(states, qd=qd)
+    each = np.diag(change.mean(axis=0))
+    units = np.where(np.abs(each) > NOT_ITS_OWN * np.abs(each).max(), each, 0.0)
+    alike = same_shape(np.broadcast_to(np.diag(units), change.shape).ravel(), change.ravel())
+    return tuple(float(u) for u in units) if alike else None
 
 
 def _spread(states: State, count: int) -> npt.NDArray[np.int64]:
@@ -211,11 +238,12 @@ def _unlike_a_body(called: Called, at: State, torque: Array) -> str:
     if why := _starts_elsewhere(called, at, base):
         return why
     off, memory = np.zeros((2, called.joints, len(at)))
+    turns = np.zeros(off.shape, dtype=np.bool_)
     for j in range(called.joints):
-        ways = []
+        ways, onwards = [], np.where(at.qd[:, j] < 0.0, -1.0, 1.0)
         for times in (1.0, 2.0):
             more = torque.copy()
-            more[:, j] += times * PUSHED * called.torque[j]
+            more[:, j] += times * PUSHED * called.torque[j] * onwards
             ways.append((more, called.simulated(at, more, called.numbers(), late)))
         (push, once), (_, twice) = ways
         answers = [np.diff(w[:, :3] - base[:, :3], 2, axis=1)[:, 0] for w in (once, twice)]
@@ -224,17 +252,34 @@ def _unlike_a_body(called: Called, at: State, torque: Array) -> str:
         off[j] = np.abs(answers[0] - 0.5 * answers[1]).max(axis=1) / size
         off[j][np.abs(answers[1]).max(axis=1) == 0] = 1.0  # a push that does nothing
         memory[j] = _forgets(called, push, once) * called.sample_time**2 / size
-    good = np.maximum(off, memory).max(axis=0) < AGREES
-    if np.mean(good) >= RIGID_SHARE:
+        turns[j] = _turned(called, at, np.stack([base, once, twice]))
+    # one with friction of its own may stick where a joint turns; of six joints one often does
+    counts = ~turns | turns.all(axis=1, keepdims=True)
+    if np.all(_share(np.maximum(off, memory), counts) <= 1.0 - RIGID_SHARE):
         return ""
     disagree = OUT_OF_PROPORTION, REMEMBERS
-    shares = [np.mean(x >= AGREES, axis=1) for x in (off, memory)]
+    shares = [_share(x, counts) for x in (off, memory)]
     which = int(shares[1].max() > shares[0].max())
     j = int(np.argmax(shares[which]))
+    of = int(counts[j].sum())
     return disagree[which].format(
-        joint=j + 1, by=float(np.median((off, memory)[which][j])),
-        states=round(len(at) * float(shares[which][j])), of=len(at), most=AGREES, late=ANEW_AFTER,
+        joint=j + 1, by=float(np.median((off, memory)[which][j, counts[j]])),
+        states=round(of * float(shares[which][j])), of=of, most=AGREES, late=ANEW_AFTER,
     )  # fmt: skip
+
+
+def _share(off: Array, counts: npt.NDArray[np.bool_]) -> Array:
+    """The share of the states that count in which a push is answered otherwise, by joint."""
+    return np.asarray(np.sum((off >= AGREES) & counts, axis=1) / counts.sum(axis=1))
+
+
+def _turned(called: Called, at: State, ways: Array) -> npt.NDArray[np.bool_]:
+    """Whether some joint all but stands on one of the ways (ways, n, rows, joints) from a state,
+    (n,).
+    """
+    onwards = np.diff(ways, axis=2) * np.where(at.qd < 0.0, -1.0, 1.0)[:, None]
+    least = SLIDES * np.std(called.probe.qd, axis=0) * called.sample_time
+    return np.asarray((onwards < least).any(axis=(0, 2, 3)))
 
 
 def _forgets(called: Called, torque: Array, way: Array) -> Array:

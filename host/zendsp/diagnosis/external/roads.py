@@ -97,7 +97,7 @@ def _found(
     first = straight(given)
     try:
         return first if first.stopped else without_parts(
-            first, given, straight, called.friction.names
+            first, given, straight, called.inside.names
         )
     except KeyboardInterrupt:
         if not so_far:
@@ -114,14 +114,14 @@ def _without_simulator(d: Diagnosis, called: Called, given: Model) -> Diagnosis:
     free = {k: [q.free for q in items] for k, items in given.mechanism.items()}
 
     def named(model: Model) -> Model:
-        plain = as_given(called.friction.taken_from(model, given)[0])
+        plain = as_given(called.inside.taken_from(model, given)[0])
         mechanism = {
             key: tuple(replace(q, free=f) for q, f in zip(items, free[key], strict=True))
             for key, items in plain.mechanism.items()
         }
         return replace(plain, mechanism=mechanism)
 
-    if stays := called.friction.taken_from(d.improved, given)[1]:
+    if stays := called.inside.taken_from(d.improved, given)[1]:
         notes.append(STAYS.format(listed(stays)))
     return replace(
         d, given=named(d.given), calibrated=named(d.calibrated), improved=named(d.improved),

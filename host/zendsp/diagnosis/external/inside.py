@@ -1,10 +1,11 @@
-"""The friction inside a simulator that can only be called.
+"""The friction and the rotors inside a simulator that can only be called.
 
 A simulator that sticks answers no push, and one that turns answers with two torques at once. So its
 friction is known by the direction and the speed of slow motion, its torques are given without it,
 and it is Coulomb and viscous friction of the model instead: it holds, slides and sits on the motor
 as any other, its size is held or calibrated as the number of the simulator that sets it, and is
-written back to that number.
+written back to that number. So is an inertia that only its own joint feels: it is that of a rotor,
+as beside the bodies of a URDF.
 """
 
 from __future__ import annotations
@@ -24,17 +25,18 @@ Array = npt.NDArray[np.float64]
 Sizes = tuple[float, ...]  # of each joint
 
 NO_CHANGE = 1e-6  # of a size: a smaller change is none
-DRY, FLUID = "coulomb", "viscous"
+DRY, FLUID, ROTOR = "coulomb", "viscous", "inertia"
 
 
 @dataclass(frozen=True)
-class FrictionInside:
-    """The friction of a simulator's joints.
+class Inside:
+    """What of a simulator's joints is a term of the model.
 
     Attributes
     ----------
     sizes : dict
-        By effect: of each joint, N m or N, and that by rad/s or m/s; 0 where it has none.
+        By effect: of each joint, N m or N, that by rad/s or m/s, and kg m² or kg; 0 where it has
+        none.
     numbers : dict
         By effect: what a unit of each number that is nothing else adds to the joints' sizes.
     """
@@ -44,17 +46,21 @@ class FrictionInside:
 
     @property
     def names(self) -> frozenset[str]:
-        """The numbers of the simulator that are friction."""
+        """The numbers of the simulator that are terms."""
         return frozenset(key for of_one in self.numbers.values() for key in of_one)
 
-    def torque(self, qd: Array) -> Array:
+    def rotors(self, joints: int) -> Array:
+        """The inertia of each joint's rotor, kg m² or kg."""
+        return np.asarray(self.sizes.get(ROTOR, np.zeros(joints)))
+
+    def friction(self, qd: Array) -> Array:
         """The torque of the friction at some speeds, (n, joints); at none, of the direction up."""
         none = np.zeros(qd.shape[1])
         way = np.where(qd < 0.0, -1.0, 1.0)
         return np.asarray(self.sizes.get(DRY, none) * way + self.sizes.get(FLUID, none) * qd)
 
     def added_to(self, model: Model) -> Model:
-        """A model of the simulator with this friction as terms, and its numbers held."""
+        """A model of the simulator with these terms, and their numbers held."""
         model = kernel_model(model)
         terms = list(model.terms)
         for effect, sizes in self.sizes.items():
@@ -133,7 +139,7 @@ def _key(effect: str) -> str:
 
 
 def _with(own: Term | None, effect: str, joint: int, size: float, free: bool) -> Term:
-    """The friction of a joint: the model's own, if any, and that inside."""
+    """The term of a joint: the model's own, if any, and what is inside."""
     if own is None:
         term = make_term(get_effect(effect), joint, {_key(effect): size})
         return term if free else term.held()
