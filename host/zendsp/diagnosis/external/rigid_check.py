@@ -5,7 +5,7 @@ torque, and has no memory but position and speed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -49,9 +49,6 @@ STATES_FITTED = 300  # states to which numbers are fitted roughly
 FITS = 2  # the second about the numbers of the first
 # of a joint's torque: less is no friction, since rigid bodies differ by up to 0.4 %
 RUBS_INSIDE = 0.005
-# of a number's torque: less of it is in the mass matrix because a pushed simulator is faster. A
-# viscosity has half a row times the motion's frequency of it, 0.01 at 4 ms and 1 Hz
-BY_ITS_SPEED = 0.1
 OUT_OF_PROPORTION = (
     "does not answer twice a push with twice the acceleration (joint {joint}: off by {by:.2g} of"
     " the answer in {states} of {of} states, at most {most:g})"
@@ -111,20 +108,24 @@ def terms_inside(called: Called) -> Inside:
     numbers, sizes = _numbers(called, near), {}
     speed = np.sqrt(np.mean(near.at.qd**2, axis=0))
     for effect, found, torque in ((DRY, dry, dry), (FLUID, fluid, fluid * speed)):
-        own = np.zeros(called.joints)
-        for key, units in numbers[effect].items():
-            own += called.about[key] * np.array(units)
+        own = _sum_of(called, numbers[effect])
         size = np.where(torque > RUBS_INSIDE * called.torque, found, np.maximum(own, 0.0))
         sizes[effect] = tuple(float(x) for x in size)
         numbers[effect] = {
             key: units for key, units in numbers[effect].items()
             if all(x > 0.0 for x, unit in zip(size, units, strict=True) if unit)
         }  # fmt: skip
-    rotors = np.zeros(called.joints)
-    for key, units in numbers[ROTOR].items():
-        rotors += called.about[key] * np.array(units)
+    rotors = _sum_of(called, numbers[ROTOR])
+    if np.any(rotors >= np.einsum("njj->nj", near.mass).min(axis=0)):  # no bodies are left
+        rotors, numbers[ROTOR] = 0.0 * rotors, {}
     sizes[ROTOR] = tuple(float(x) for x in rotors)
     return Inside(sizes, numbers)
+
+
+def _sum_of(called: Called, numbers: Mapping[str, Sizes]) -> Array:
+    """What all numbers of an effect make, (joints,)."""
+    each = [called.about[key] * np.array(units) for key, units in numbers.items()]
+    return np.asarray(sum(each, np.zeros(called.joints)))
 
 
 def _against(called: Called, near: Near, j: int, speeds: Sequence[float]) -> list[float]:
@@ -183,12 +184,13 @@ def _numbers(called: Called, near: Near) -> dict[str, dict[str, Sizes]]:
         change, rest = called.moved(near, key)
         felt = abs(value) * np.sqrt(np.mean(rest**2, axis=0)) > NOT_ITS_OWN * called.torque
         inertial = np.einsum("nij,nj->ni", change, near.at.qdd)
-        if float(np.linalg.norm(inertial)) > BY_ITS_SPEED * float(np.linalg.norm(rest)):
+        whole = inertial + rest
+        if called.joints > 1 and same_shape(whole.ravel(), inertial.ravel()):
             own = _on_own_joint(change)
-            if called.joints > 1 and own is not None and not any(felt):
+            if own is not None:
                 out[ROTOR][key] = own
-            continue
-        if not any(felt):
+        # a viscosity is in the mass matrix by what a push makes the simulator faster
+        if not any(felt) or not same_shape(whole.ravel(), rest.ravel()):
             continue
         for effect, shape in shapes.items():
             if all(same_shape(shape[:, j], rest[:, j]) for j in np.flatnonzero(felt)):
