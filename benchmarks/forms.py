@@ -23,8 +23,6 @@ from typing import Any
 from arms.cases import CASES, make
 from arms.written import FORMS
 
-BODIES = ("payload", "body", "inertia")
-
 
 def main() -> None:
     """Make, ask, and print."""
@@ -39,12 +37,14 @@ def main() -> None:
             print(make(name, asked.folder / name), file=sys.stderr, flush=True)
     rows = []
     for name in names:
+        truth = json.loads((asked.folder / name / "truth.json").read_text())
         for form in asked.form or FORMS:
-            answer = answered(asked.folder / name, form)
-            row = [name, form, *told(answer, json.loads((asked.folder / name / "truth.json").read_text()))]
-            rows.append(row)
-            print("  ".join(str(x) for x in row), file=sys.stderr, flush=True)
-    print_table(rows)
+            rows.append([name, form, *told(answered(asked.folder / name, form), truth)])
+            print("  ".join(map(str, rows[-1])), file=sys.stderr, flush=True)
+    print("| arm | given as | verdict | findings, confidence | beyond the truth | CPU, s |")
+    print("|---|---|---|---|---|---|")
+    for row in rows:
+        print("| " + " | ".join(map(str, row)) + " |")
 
 
 class _AsItIs(argparse.RawDescriptionHelpFormatter):
@@ -72,18 +72,22 @@ def answered(folder: Path, form: str) -> dict[str, Any]:
 
 
 def told(report: dict[str, Any], truth: list[str]) -> list[Any]:
-    """Verdict, findings in their order, and what is wrong with them."""
-    found = [f"{f['effect']}@{f['joint']}" for f in report["findings"]]
-    said = ", ".join(
-        f"{name} {f['confidence']:.2f}" for name, f in zip(found, report["findings"], strict=True)
-    )
-    return [report["verdict"], said or "-", ",".join(truth) or "complete", report["cpu"]]
+    """Verdict, findings in their order, how many of them are not of the truth, and seconds."""
+    findings = report["findings"]
+    names = [f"{f['effect']}@{f['joint']}" for f in findings]
+    said = [f"{n} {f['confidence']:.2f}" for n, f in zip(names, findings, strict=True)]
+    beyond = sum(not _is_true(f, truth) for f in findings)
+    return [report["verdict"], ", ".join(said) or "–", beyond, report["cpu"]]
 
 
-def print_table(rows: list[list[Any]]) -> None:
-    """The rows as Markdown."""
-    for row in rows:
-        print("| " + " | ".join(str(x) for x in row) + " |")
+def _is_true(finding: dict[str, Any], truth: list[str]) -> bool:
+    """Whether a finding, or what it cannot be told from, is what acts; beside a torque of no law,
+    one without a law.
+    """
+    if "foreign" in truth:
+        return str(finding["effect"]) == "unknown"
+    names = [finding["effect"], *finding["indistinguishable"]]
+    return any(f"{name}@{finding['joint']}" in truth for name in names)
 
 
 if __name__ == "__main__":

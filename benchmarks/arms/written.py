@@ -56,7 +56,8 @@ def write_forms(
         for kind, (key, values) in effects[form].items():
             for j, value in enumerate(values, 1):
                 if value:
-                    text += f'\n[[effect]]\nkind = "{kind}"\njoint = {j}\n{key} = {float(value)!r}\n'
+                    text += f'\n[[effect]]\nkind = "{kind}"\njoint = {j}\n'
+                    text += f"{key} = {float(value)!r}\n"
         text += f"\n[actuator]\ngain = {{ value = 1.0, free = false }}\nhold = {sample_time}\n"
         text += f"\n[sensor]\nposition_resolution = {count!r}\n"
         text += '\n[columns]\ntime = "t"\nposition = "q"\ncommand = "u"\nreference = "r"\n'

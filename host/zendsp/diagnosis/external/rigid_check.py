@@ -44,7 +44,9 @@ NUMBERS_TRIED = 0.1  # of the numbers: whether the torque is linear in them
 # of the speed: slower joints are made faster in states at which a simulator is asked what it is
 MOVES = 0.3
 KEPT_UP = 3  # corrections of a torque, until it keeps up a speed
-SLOWER = 10.0, 2.0, 1.0  # times REVERSES: speeds at which friction is asked for, the last two for it
+# times REVERSES: speeds at which the torque against a joint is asked for, each from the one before;
+# the last two say what friction it is
+AGAINST_AT = 10.0, 2.0, 1.0
 STATES_FITTED = 300  # states to which numbers are fitted roughly
 FITS = 2  # the second about the numbers of the first
 # of a joint's torque: less is no friction, since rigid bodies differ by up to 0.4 %
@@ -101,7 +103,7 @@ def terms_inside(called: Called) -> Inside:
     near = called.near(called.probe)
     dry, fluid = np.zeros((2, called.joints))
     for j in range(called.joints):
-        at = [times * REVERSES * float(np.std(near.at.qd[:, j])) for times in SLOWER]
+        at = [times * REVERSES * float(np.std(near.at.qd[:, j])) for times in AGAINST_AT]
         *_, twice, once = _against(called, near, j, at)
         dry[j] = 2.0 * once - twice
         fluid[j] = (twice - once) / at[-1]
