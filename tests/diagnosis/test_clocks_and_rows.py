@@ -12,7 +12,8 @@ from reality import FAST, KNOWN, RATE
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
-from zendsp.diagnosis.data.sampling import resample_held
+from zendsp.diagnosis.data.sampling import between_rows, resample_held
+from zendsp.diagnosis.data.signals import Signals
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.term_numbers import kernel_model
 
@@ -179,3 +180,22 @@ def test_a_position_that_was_not_read_anew_is_no_motion_and_said(
     signals = read_signals(reality.save(tmp_path / "stale.csv", stale), given)
     assert any(f"{len(fast)} positions repeated in the midst" in n for n in signals.notes)
     assert np.abs(signals.position[:, 0] - true).max() < 0.2 * step[fast].min()
+
+
+@pytest.mark.parametrize("steps", [2, 5, 10])
+def test_slow_motion_feels_all_of_the_command_that_nobody_saw_between_rows(steps: int) -> None:
+    """A row ends one line and begins the next, and so their errors add up. Taken for independent, a
+    complete arm at 100 Hz of a loop at 500 Hz lacked 0.36 % of the torque of its wrist.
+    """
+    rows, together = 60_000, 60
+    loop = np.random.default_rng(3).standard_normal((rows * steps, 1))
+    zero = np.zeros((rows, 1))
+    every = Signals(
+        "run", np.arange(rows) * 0.01, 0.01, zero, loop[::steps], None, np.zeros(1)
+    )  # fmt: skip
+    read = between_rows(every, 0.01 / steps)
+    missed = loop.reshape(rows, steps).mean(axis=1) - read.command[:, 0]
+    slow = missed.reshape(-1, together).mean(axis=1) * np.sqrt(together)
+    assert read.between is not None
+    # the deviation of 1000 means is known to 2 %; sums of 60 rows still lack 0.4 % at their ends
+    assert float(read.between[0]) == pytest.approx(float(np.std(slow)), rel=0.08)

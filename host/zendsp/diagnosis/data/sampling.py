@@ -318,7 +318,9 @@ def resample_held(grid: Array, time: Array, values: Array) -> Array:
 def between_rows(s: Signals, hold: float) -> Signals:
     """A recording with the commands of a faster loop, each held for only a part of the time between
     rows. The mean command until the next row lies on the line to that row. White noise in the
-    column is another at each step of the loop, beside that line.
+    column is another at each step of the loop, beside that line. Each row ends one line and begins
+    the next, so what two neighbouring lines miss is alike: of slow motion they miss all of the
+    noise's part that nobody saw.
     """
     unseen = 1.0 - hold / s.sample_time
     if unseen < UNSEEN:
@@ -326,7 +328,7 @@ def between_rows(s: Signals, hold: float) -> Signals:
     white = np.mean(np.diff(s.command, 4, axis=0) ** 2, axis=0) / FOURTH
     command = s.command.copy()
     command[:-1] += 0.5 * unseen * np.diff(s.command, axis=0)
-    beside = np.sqrt(white * unseen * (1.0 - 0.5 * unseen))
+    beside = np.sqrt(white * unseen * (1.0 - 0.5 * unseen))  # of a single row
     usual = np.sqrt(np.mean(s.command**2, axis=0))
     share = 100.0 * float(np.max(beside / np.maximum(usual, 1e-300)))
     note = (
@@ -339,7 +341,7 @@ def between_rows(s: Signals, hold: float) -> Signals:
             ". Beside so much that nobody saw, what seems to come late, to swing or to turn with"
             " the joint may be nothing: record the command's mean from row to row, or every sample"
         )
-    return replace(s, command=command, between=beside, notes=(*s.notes, note))
+    return replace(s, command=command, between=np.sqrt(white * unseen), notes=(*s.notes, note))
 
 
 def decimated(signals: Signals) -> Signals:

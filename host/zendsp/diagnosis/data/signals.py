@@ -35,7 +35,8 @@ class Signals:
     raw: Signals | None = None  # before averaging down, where that was done
     # (joints,): quantisation noise that remains after a filter or averaging, even at rest
     least_noise: Array | None = None
-    # (joints,): RMS of the command about the lines from row to row; None: it is held
+    # (joints,): RMS of white noise that moves a joint as the command about the lines from row to
+    # row does; None: it is held
     between: Array | None = None
     whole: str = ""  # name of the recording of which this is a part; empty if of none
     origin: float = 0.0  # s: zero of time for effects over time, for all recordings
