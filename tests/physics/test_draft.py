@@ -402,3 +402,12 @@ def test_the_name_of_a_column_does_not_leave_its_comment() -> None:
     draft = draft_model(Table(columns, {}, {}, Path("run.csv")))
     assert "\x1b" not in draft.text and "\n[actuator]\ngain" not in draft.text
     model_of(draft.text)
+
+
+def test_stamps_in_ms_of_an_even_clock_give_its_sample_time() -> None:
+    """The median of stamps at 400 Hz is 3 ms."""
+    columns = recording()
+    columns["t"] = np.round(columns["t"] * 1.25, 3)  # 400 Hz
+    text = draft_model(Table(columns, {"t": "s"}, {}, Path("run.csv"))).text
+    (line,) = (line for line in text.splitlines() if line.startswith("sample_time"))
+    assert "= 0.0025 " in line and "jitter" not in line and "missing" not in line

@@ -26,9 +26,9 @@ from zendsp.diagnosis.data.jumps import counter_range, without_spikes
 from zendsp.diagnosis.data.sampling import (
     between_rows,
     between_stamps,
+    by_motion,
     clock,
     decimated,
-    evenly_read,
     left_by_lines,
     on_counts,
     read_anew,
@@ -72,7 +72,8 @@ def read_signals(source: Source, model: Model) -> Signals:
     check_units(name, source, columns, model)
     get, repeated = without_repeats(get, columns)
     position, command, reference = _main_columns(name, get, columns, joints)
-    time, sample_time, notes, grid = clock(name, get, columns, model, len(position))
+    of = clock(name, get, columns, model, len(position))
+    notes: list[str] = []
     extra, said = _further_columns(name, get, columns, position.shape)
     notes += [*said, *_each_alone(model, joints)]
     if "command" not in columns:
@@ -95,12 +96,9 @@ def read_signals(source: Source, model: Model) -> Signals:
             " sensor was not read; the line between the neighbours stands there"
         )
     rows = position
-    if grid is not None and evenly_read(grid, time, position):
-        notes.append(f"{name}: the motion does not jitter: its rows are taken as evenly spaced")
-        sample_time = float(time[-1] - time[0]) / (len(time) - 1)
-        time, grid = time[0] + sample_time * np.arange(len(time)), None
+    of = by_motion(of, name, position)
+    time, sample_time, grid = of.time, of.period, of.grid
     if grid is not None:
-        notes.append(f"{name}: resampled uniformly, by the time stamps")
         position = on_counts(resample(grid, time, position), position[0], resolution)
         command = resample_held(grid, time, command)
         reference = None if reference is None else resample(grid, time, reference)
@@ -111,7 +109,7 @@ def read_signals(source: Source, model: Model) -> Signals:
         origin=float(time[0]),
     )  # fmt: skip
     signals, said = _of_joints(read, model)
-    signals = replace(signals, notes=(*done, *notes, *said))
+    signals = replace(signals, notes=(*done, *of.notes, *notes, *said))
     signals = decimated(between_rows(signals, model.actuator.hold or sample_time))
     if grid is None or signals.raw is not None:  # neighbouring means share no row
         return signals

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.kernel.signals import FOURTH, MEDIAN, find_resolution
 from zendsp.physics.model import Model, per_joint
 from zendsp.recording.samples import is_gap
+from zendsp.recording.stamps import JITTER, EvenClock, even_clock, usual_step
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
@@ -28,8 +29,7 @@ REPEATED_COUNTS = 4.0  # of the sensor: least step that a repeated row may hide
 SLOWEST_CLOCK = 0.1  # s between samples
 UNIT = 50  # least factor between units of time: seconds, milliseconds, minutes
 OTHER_UNIT = 0.2  # of the stated sample time: a larger difference means another unit
-EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median within these equal it, printed with few digits
-JITTER = 0.02  # of the sample time: below, stamps count as even
+EQUALS = 1e-3  # of it: a mean within this equals it
 EVEN = 5e-4  # of the sample time, RMS: less would be written as 0.0 %
 MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing row makes three
 # of the roughness over stamps: smoother rows were read evenly. True stamps give 1 and more, however
@@ -124,25 +124,33 @@ def _forwards(name: str, column: str, time: Array, step: Array) -> None:
         )
 
 
-def clock(
-    name: str, get: Getter, columns: Columns, model: Model, n: int
-) -> tuple[Array, float, list[str], Array | None]:
-    """The clock of a recording's ``n`` rows: time of each row and sample time, s; notes on its
-    stamps; and, where these are not even, even times to resample to.
+@dataclass(frozen=True)
+class Clock:
+    """The clock of a recording's rows: time of each row and sample time, s; notes on its stamps."""
+
+    time: Array
+    period: float
+    notes: tuple[str, ...] = ()
+    grid: Array | None = None  # s: where the stamps are not even, even times
+    rounded: bool = False  # whether the stamps may be those of the even times, rounded
+
+
+def clock(name: str, get: Getter, columns: Columns, model: Model, n: int) -> Clock:
+    """The clock of a recording's ``n`` rows.
 
     Raises
     ------
     RecordingError
         There is no time; or it stands still, runs back, has a gap, or has not the model's rate.
     """
-    notes: list[str] = []
+    stated = model.sample_time
     if "time" not in columns or not has(get, columns["time"]):
-        if model.sample_time is None:
+        if stated is None:
             raise RecordingError(
                 f"{name}: has no time column {columns.get('time', 't')!r} and the model no"
                 " sample_time"
             )
-        return np.arange(n, dtype=np.float64) * model.sample_time, model.sample_time, notes, None
+        return Clock(np.arange(n, dtype=np.float64) * stated, stated)
     time: Array = np.asarray(get(str(columns["time"])), dtype=np.float64)
     if time.ndim != 1 or not np.isfinite(time).all():
         raise RecordingError(
@@ -150,29 +158,56 @@ def clock(
         )
     step = np.diff(time)
     _forwards(name, str(columns["time"]), time, step)
-    period = float(np.median(step))
+    even, period = None, float(np.median(step))
+    if float(np.max(np.abs(step - period))) >= JITTER * period:
+        even = even_clock(time, stated)
+        period = usual_step(time) if even is None else even.period
     if period > SLOWEST_CLOCK:
         raise RecordingError(
             f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is"
             f" the time column {columns['time']!r} in seconds?"
         )
-    if model.sample_time and abs(period / model.sample_time - 1) > OTHER_UNIT:
-        raise _of_another_rate(name, period, model.sample_time)
-    if (
-        model.sample_time
-        and abs(np.mean(step) / model.sample_time - 1) < EXACT
-        and abs(period / model.sample_time - 1) < ROUNDED
-    ):
-        period = model.sample_time
-    jitter = float(np.max(np.abs(step - period))) / period
-    if jitter < JITTER:
-        return time, float((time[-1] - time[0]) / (n - 1)), notes, None
+    if stated and abs(period / stated - 1) > OTHER_UNIT:
+        raise _of_another_rate(name, period, stated)
     if is_gap(float(np.max(step)), period):
         k = int(np.argmax(step))
         raise RecordingError(
             f"{name}: a gap of {step[k]:.3g} s after row {k + 1}, {time[k] - time[0]:.4g} s from"
             f" the beginning: are two runs glued together?{_apart(name)}"
         )
+    if even is not None:
+        return _of_even(name, time, even, stated or even.period)
+    if stated and abs(np.mean(step) / stated - 1) < EQUALS:
+        period = stated
+    if float(np.max(np.abs(step - period))) < JITTER * period:
+        return Clock(time, float((time[-1] - time[0]) / (n - 1)))
+    return _jittering(name, time, period)
+
+
+def _of_even(name: str, time: Array, even: EvenClock, stated: float) -> Clock:
+    """The clock of rows whose stamps are a rounding of an even one, of which some may be missing.
+    """
+    period, count = even.period, even.count
+    grid, missing = time[0] + period * np.arange(count[-1] + 1), int(count[-1]) + 1 - len(count)
+    notes = []
+    if float(np.max(np.abs(time - grid[count]))) > JITTER * period:
+        notes.append(
+            f"{name}: its time stamps are those of an even clock, {period:.6g} s a sample, rounded"
+            f" to {even.quantum:.3g} s"
+            + (f" (the model says {stated:.6g} s)" if abs(period / stated - 1) > EQUALS else "")
+        )
+    if missing == 0:
+        return Clock(time, period, tuple(notes), grid, rounded=True)
+    notes.append(
+        f"{name}: {counted(missing, 'row')} missing, all others evenly spaced (largest step"
+        f" {np.max(np.diff(count)):.1f} samples)"
+    )
+    return Clock(grid[count], period, tuple(notes), grid)
+
+
+def _jittering(name: str, time: Array, period: float) -> Clock:
+    """The clock of rows whose stamps are neither even nor a rounding of even ones."""
+    step = np.diff(time)
     whole = np.round(step / period)  # samples from one row to the next
     # a late stamp is no missing row: a step beside it is shorter
     padded = np.concatenate([[np.inf], step, [np.inf]])
@@ -186,23 +221,43 @@ def clock(
         rows = f"and {counted(missing, 'row')} missing" if missing else "no row is missing"
         of = "of the sample time"
         rows = f"the time from row to row jitters by {100 * spread:.1f} % {of}, {rows}"
-    notes.append(f"{name}: {rows} (largest step {np.max(step) / period:.1f} samples)")
-    return time, period, notes, np.arange(time[0], time[-1], period)
+    note = f"{name}: {rows} (largest step {np.max(step) / period:.1f} samples)"
+    return Clock(time, period, (note,), np.arange(time[0], time[-1], period))
 
 
-def evenly_read(grid: Array, time: Array, position: Array) -> bool:
-    """Whether rows with jittering stamps were read evenly: the motion is smoother over their number
-    than over the stamps, and none is missing.
+def evenly_read(of: Clock, position: Array) -> bool:
+    """Whether rows were read evenly, whatever their stamps say, and none is missing: the motion is
+    smoother over the number of rows than over the stamps; of stamps that are a rounding of an even
+    clock, unless it is smoother over the stamps.
     """
-    if abs(len(grid) - len(time)) > 1:
+    grid, time = of.grid, of.time
+    if grid is None or abs(len(grid) - len(time)) > 1:
         return False
     by_row, by_stamp = (
         np.mean(np.diff(q, 4, axis=0) ** 2, axis=0)
         for q in (position, resample(grid, time, position))
     )
     moves = by_stamp > 0
+    if not moves.any():
+        return of.rounded
     ratio = left_by_lines(grid, time) * by_row[moves] / by_stamp[moves]
-    return bool(moves.any() and np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))) < SMOOTHER)
+    rougher = float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
+    return rougher < (1.0 / SMOOTHER if of.rounded else SMOOTHER)
+
+
+def by_motion(of: Clock, name: str, position: Array) -> Clock:
+    """The clock of a recording once its positions (n, joints) have said whether the rows were read
+    evenly; notes tell what is done.
+    """
+    if of.grid is None:
+        return of
+    if not evenly_read(of, position):
+        note = f"{name}: resampled uniformly, by the time stamps"
+        return replace(of, notes=(*of.notes, note))
+    why, n = "" if of.rounded else " the motion does not jitter:", len(of.time)
+    notes = *of.notes, f"{name}:{why} its rows are taken as evenly spaced"
+    period = of.period if of.rounded else float(of.time[-1] - of.time[0]) / (n - 1)
+    return Clock(of.time[0] + period * np.arange(n), period, notes)
 
 
 def resolution_of(

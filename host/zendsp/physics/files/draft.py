@@ -38,6 +38,7 @@ from zendsp.recording import Table
 from zendsp.recording.names import told
 from zendsp.recording.roles import Role
 from zendsp.recording.samples import is_gap
+from zendsp.recording.stamps import even_times
 from zendsp.recording.units import ENCODER, not_known
 from zendsp_protocol.texts import counted
 
@@ -115,6 +116,8 @@ def draft_model(
     name = (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
     page.line(f"name = {json.dumps(name, ensure_ascii=False)}")
     clock = best_group(groups, Role.TIME)
+    if clock is not None:
+        clock = replace(clock, values=even_times(clock.values[:, 0])[:, np.newaxis])
     step = _sample_time(page, clock, table.path.name)
     page.line()
     linear = position.unit.partition(", ")[0] == "m"
