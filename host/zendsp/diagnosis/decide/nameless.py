@@ -18,6 +18,7 @@ from zendsp.diagnosis.decide.thresholds import (
     FINEST,
     GROWN,
     LAW_ERROR,
+    LEFT_BY_A_LAW,
     PREDICTED,
     RIVAL,
     SIMULATORS_DIFFER,
@@ -116,10 +117,12 @@ def told_apart(
 ) -> bool:
     """Whether this mechanism's variables predict the missing torque beside the named ``laws`` as
     well as those of every other mechanism. Where its own laws leave nothing over the state, they
-    may predict a little less. A mechanism without a law is known by its variables alone. (A
-    constant is a function of any variable.)
+    may predict a little less. A mechanism without a law is known by its variables alone; one that
+    has none, as a measurement, by what it leaves. (A constant is a function of any variable.)
     """
-    if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
+    if claim.mechanism not in STRUCTURED:
+        return decision.after.value < max(SIMULATORS_DIFFER, LEFT_BY_A_LAW * claim.size)
+    if get_effect(claim.term.effect).constant:
         return True
     if decision.after.value < SIMULATORS_DIFFER:
         return True

@@ -18,6 +18,7 @@ from zendsp.diagnosis.decide.fast_ripple import fine_ripples
 from zendsp.diagnosis.decide.pieces import has
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
 from zendsp.diagnosis.explain.faster_observer import searched
+from zendsp.diagnosis.explain.given_springs import upon_given_springs
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.progress import Progress, Step
@@ -92,6 +93,7 @@ def _search_joint(
                 search, beneath = other, creeping
             else:
                 search = replace(other, base=base)  # the creep is no longer needed
+    search = upon_given_springs(search, beneath, searcher)
     search, beneath = _creeping_found(parts, beneath, search, searcher, tell)
     if beneath.joints == 1:  # of several, bodies and links come before what passes fast
         rippled = with_fine_ripples(parts, search, jobs)

@@ -434,7 +434,20 @@ def along(record: JointRecord, model: Model) -> Along:
         inertia=effective_inertia(record, model),
         gravity=mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0,
         waves=record.waves,
+        spring=_spring_of(model, record.joint),
     )
+
+
+def _spring_of(model: Model, joint: int) -> tuple[float, ...]:
+    """Stiffness, damping and load inertia of a joint's transmission; empty where it is rigid, or
+    acts as no spring within its gap.
+    """
+    names = ("stiffness", "damping", "load_inertia")
+    for term in model.at(joint):
+        effect = get_effect(term.effect)
+        if effect.family == "transmission" and not effect.rough:
+            return tuple(term.value(name) for name in names)
+    return ()
 
 
 def effective_inertia(record: JointRecord, model: Model) -> Array:

@@ -127,6 +127,8 @@ class Along:
         The model's torque gravity · sin(q).
     waves : dict
         What ``wave`` has worked out: the recording keeps it.
+    spring : tuple of float
+        Stiffness, damping and load inertia of a model's transmission; empty where it is rigid.
     """
 
     q: Array
@@ -138,6 +140,7 @@ class Along:
     inertia: Array
     gravity: float
     waves: dict[float, tuple[Array, Array]] = field(default_factory=dict)
+    spring: tuple[float, ...] = ()
 
     def wave(self, order: float, phase: float) -> tuple[Array, Array]:
         """Sine and cosine of ``order`` times the position and a phase, (n,) each."""

@@ -2,7 +2,8 @@
 
 Beside a spring between motor and load the error bends it. Where the model has none, the
 transmission is rigid and all inertia but added rotors is the load's: turned unevenly it takes
-torque, the more the faster.
+torque, the more the faster. A spring passes that on as far as motor and load swing against each
+other (Spong 1987).
 """
 
 from __future__ import annotations
@@ -12,17 +13,35 @@ import numpy as np
 from zendsp.physics.effects.axes import off_centre, order_limits, orders
 from zendsp.physics.effects.base import Along, Array, Effect, Numbers, Parameter
 
+MOTOR = 0.02  # of the inertia: the kernel leaves the motor as much
+
 
 def _column(along: Along, p: Numbers) -> Array:
-    """What the load resists in a rigid transmission, to first order in the amplitude."""
+    """What the load resists, to first order in the amplitude."""
     amplitude, order = p["amplitude"], p["order"]
     error, cosine = along.wave(order, p["phase"])
     slope = order * cosine
-    inert = along.inertia * (2 * slope * along.qdd - order**2 * error * along.qd**2)
+    load = along.spring[-1] if along.spring else along.inertia
+    inert = load * (2 * slope * along.qdd - order**2 * error * along.qd**2)
     if along.gravity:
         sine, cosine = along.wave(1.0, 0.0)
         inert += along.gravity * (slope * sine + error * cosine)
-    return np.asarray(amplitude * inert)
+    return np.asarray(amplitude * _through_spring(along, inert))
+
+
+def _through_spring(along: Along, torque: Array) -> Array:
+    """The torque on a rigid joint that moves the motor as a torque on its load does, N m or N:
+    (c s + k) / (m s² + c s + k) of it, with m = motor load / (motor + load).
+    """
+    from scipy.signal import bilinear, lfilter
+
+    if not along.spring:
+        return torque
+    k, c, load = along.spring
+    whole = float(np.mean(along.inertia))
+    reduced = load * max(whole - load, MOTOR * whole) / whole
+    above, below = bilinear([c, k], [reduced, c, k], 1.0 / along.sample_time)
+    return np.asarray(lfilter(above, below, torque))
 
 
 EFFECT = Effect(
