@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.fit import Data, Fit
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.joint import JointRecord, along, effective_inertia, facts
@@ -356,6 +357,10 @@ class Screen:
 
     def _candidate(self, effect: Effect, gain: float, values: dict[str, float]) -> Candidate:
         replaces = tuple(t.effect for t in self.model.at(self.joint) if t.effect in effect.replaces)
+        for name in values:  # a given wave may have fewer periods than are searched for
+            if effect.parameter(name).size == "order":
+                low, high = parameter_bounds(effect.name, name, self.records[0])
+                values = {**values, name: min(max(values[name], low), high)}
         return Candidate(
             effect.name, self.joint, (make_term(effect, self.joint, values),), replaces, gain
         )

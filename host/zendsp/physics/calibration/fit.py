@@ -175,6 +175,15 @@ def residuals(
     return np.concatenate([np.concatenate(parts, axis=1) for parts in beside])
 
 
+def within_basin(order: float, low: float, high: float, travel: float) -> tuple[float, float]:
+    """The bounds of a wave's order. One with fewer periods in the ``travel`` than can be searched
+    for is a given one: it stays within half a period over the travel, since beyond it is another
+    wave.
+    """
+    half = math.pi / travel
+    return (low, high) if order >= low else (max(0.0, order - half), order + half)
+
+
 def bounds_and_steps(
     data: Data, model: Model, handles: Sequence[Handle]
 ) -> tuple[Array, Array, Array]:
@@ -193,6 +202,9 @@ def bounds_and_steps(
             s = max(facts(r).scale.of(parameter.size) for r in records.values())
             pairs = [parameter_bounds(term.effect, h.key, r) for r in records.values()]
             lower, upper = min(pairs)[0], max(b for _, b in pairs)
+            if parameter.size == "order":
+                travel = max(facts(r).scale.position for r in records.values())
+                lower, upper = within_basin(term.value(h.key), lower, upper, travel)
             if get_effect(term.effect).same_as:
                 lower, upper = data.ranges.get((f"inertia {term.joint}", 0), (lower, upper))
             low.append(lower)
