@@ -380,6 +380,7 @@ def test_what_is_behind_a_step_that_cannot_be_taken_is_not_asked(
 
     monkeypatch.setattr(forward, "is_white", lambda *_: False)
     monkeypatch.setattr(Rounds, "round", round_of)
+    monkeypatch.setattr(Rounds, "glance", lambda _, scored, __: 1.9 * scored.deviance)
     searcher = Searcher(base.data, 1, lambda *_, **__: False, 1, lambda _: None)
     assert searcher._chain(base).steps == []
     assert asked == [base]

@@ -239,13 +239,15 @@ def test_a_search_goes_on_from_what_was_found_where_more_is_promised(
 
 
 @pytest.mark.parametrize(
-    ("contradicted", "rounds"), [(("ripple", "gravity"), 1), ((), 2), (("gravity",), 2)]
+    ("contradicted", "waits"),
+    [(("gravity",), "ripple"), ((), "gravity"), (("gravity", "ripple"), "gravity")],
 )
-def test_the_likeliest_step_that_is_not_contradicted_waits_for_a_second(
-    contradicted: tuple[str, ...], rounds: int, monkeypatch: pytest.MonkeyPatch
+def test_a_step_waits_for_a_second_that_is_not_contradicted_or_that_another_doubles(
+    contradicted: tuple[str, ...], waits: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The balancer of a real arm was a gravity first, which the recordings to choose by
-    contradicted: a hysteresis waited, and friction and a spring were found.
+    contradicted: a hysteresis waited, and friction and a spring were found. Of a lag and a spring
+    each was contradicted, bent to the work of both, and neither was found.
     """
     columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
     model = model_of(VISCOUS, COULOMB)
@@ -259,18 +261,25 @@ def test_the_likeliest_step_that_is_not_contradicted_waits_for_a_second(
 
     def round_of(_: Rounds, current: Any) -> list[Rival]:
         asked.append(current.deviance)
-        laws = ("gravity", "ripple") if "gravity" in contradicted else ("ripple",)
+        laws = ("gravity", "ripple") if len(asked) == 1 else ("stiffness",)
         return [Rival(law, 1, scored(), 0.0, model.terms[:1], ()) for law in laws]
 
-    def accept(_: Any, rival: Rival, waits: bool = False) -> bool:
-        return waits and rival.effect not in contradicted
+    def accept(before: Any, rival: Rival, waits: bool = False) -> bool:
+        pair = rival.effect == "stiffness" and before.deviance == 0.0
+        return pair and not asked[2:] or (waits and rival.effect not in contradicted)
 
     monkeypatch.setattr(forward, "is_white", lambda *_: False)
     monkeypatch.setattr(Rounds, "round", round_of)
+    monkeypatch.setattr(Rounds, "glance", lambda _, scored, __: 2.1 * scored.deviance)
     monkeypatch.setattr(Searcher, "_best_first", lambda _, __, rivals: rivals)
     monkeypatch.setattr(forward, "_simplest_sufficient", lambda rivals, _: rivals)
     searcher = Searcher(data, 1, accept, 1, print)
-    assert searcher._chain(scored()).steps == [] and len(asked) == rounds
+    monkeypatch.setattr(forward, "simplify", lambda found, *_: (found.final, ()))
+    steps = searcher._chain(scored()).steps
+    assert [(step.chosen.effect, step.alone) for step in steps] == [
+        (waits, False), ("stiffness", True)
+    ]
+    assert asked[1] == {"gravity": -9000.0, "ripple": -18_000.0}[waits]
 
 
 def test_a_pair_is_compared_by_its_likeliest_hypotheses_whatever_their_order(
