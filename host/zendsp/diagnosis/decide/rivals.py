@@ -96,6 +96,8 @@ def law_of(
                 else "does not explain the mismatch"
             )
             lost.append(Rejected(rival.effect, joint, why, -0.5 * behind))
+    if _ripples(parts, rounds, final, piece, first, after):
+        same.append("ripple")
     same += sums(term.effect, joint, final.model)
     laws = _shared([term.effect, *[r.effect for r in rivals]], weights, piece.mechanism)
     gone = replaced(given, final.model, term)
@@ -111,6 +113,27 @@ def law_of(
         gone,
         tuple(lost[:6]),
         instead=instead,
+    )
+
+
+def _ripples(
+    parts: Parts, rounds: Rounds, final: Scored, piece: Piece, first: Piece, after: float
+) -> bool:
+    """Whether a ripple with too few periods in the travel to be searched for is the same to these
+    recordings as a law over the position that is no wave.
+    """
+    term = first.terms[0]
+    if piece.mechanism != "position_torque" or "order" in term.parameters:
+        return False
+    rival = rounds.few_periods(first.without)
+    if rival is None:
+        return False
+    joint = term.joint
+    scores = _scores(parts, joint, final, term, [rival])
+    close = difference(parts.choose, rival.scored.model, final.model, joint) < after
+    behind = float(scores[1].sum() - scores[0].sum())
+    return bool(_weights(scores)[1] > TIED) or (
+        behind < INSEPARABLE * first.evidence.gain and close
     )
 
 

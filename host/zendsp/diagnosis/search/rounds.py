@@ -32,10 +32,12 @@ from zendsp.diagnosis.search.candidates import (
 from zendsp.diagnosis.search.hypothesis import UNSETTLED, Rival, price, with_numbers
 from zendsp.diagnosis.search.screen import Candidate, Screen
 from zendsp.diagnosis.search.short_fits import SETTLED, WAIT, ShortFits
+from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import facts, own_terms
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
+from zendsp.physics.effects.axes import orders
 from zendsp.physics.kernel.threads import Each, threads
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import added_inertia
@@ -123,6 +125,25 @@ class Rounds:
     def stand_ins(self, current: Scored, effects: frozenset[str]) -> list[Rival]:
         """The named effects only, fitted upon a model, the most likely first."""
         return self._round(current, effects)
+
+    def few_periods(self, current: Scored) -> Rival | None:
+        """A ripple a whole number of times a turn, with fewer periods in the travel than a search
+        takes, fitted upon a model; None where there is none, or the joint slides. Too little of it
+        is seen for a finding, but it may be what another law over the position imitates.
+        """
+        ripple, records = get_effect("ripple"), [rec[self.joint - 1] for rec in self.data.records]
+        known = facts(max(records, key=lambda r: r.n))
+        least, _ = parameter_bounds("ripple", "order", records[0])
+        few = [{"order": n} for n in orders(known) if n < least]
+        if known.slides or not few:
+            return None
+        term = self._screen_of(current).best_of("ripple", few).terms[0]
+        numbers = {**term.parameters, "order": replace(term.parameters["order"], free=False)}
+        model = current.model.with_terms((*current.model.terms, replace(term, parameters=numbers)))
+        handles, joints = joint_handles(self.data, model, self.joint), (self.joint,)
+        scored = fit_scored(current.data, model, handles, joints, jobs=self.jobs)
+        terms = scored.model.terms[-1:]
+        return Rival(ripple.name, self.joint, scored, price(terms, self.n), terms, ())
 
     def glance(self, current: Scored, seen: frozenset[str]) -> float:
         """An estimate of the least deviance plus price with one more effect, from short fits of the
@@ -303,15 +324,18 @@ class Rounds:
     def _promised(self, current: Scored, group: list[Candidate]) -> float:
         """The decrease of the deviance that a hypothesis promises on all samples, to first order.
         """
+        screen = self._screen_of(current)
+        gain = max(screen.gain_of(candidate) for candidate in group)
+        return self._deviance_of(gain / float(screen.r @ screen.r))
+
+    def _screen_of(self, current: Scored) -> Screen:
+        """A screen around a model, on all samples and under its own observer."""
         if id(current) not in self._screens:
             joints, handles = (self.joint,), current.fit.handles
             data, model = current.data, current.model
             here = fit(data, model, handles, joints=joints, iterations=0, jobs=self.jobs)
-            screen = Screen(data, here, self.joint, joints)
-            self._screens[id(current)] = current, screen
-        screen = self._screens[id(current)][1]
-        gain = max(screen.gain_of(candidate) for candidate in group)
-        return self._deviance_of(gain / float(screen.r @ screen.r))
+            self._screens[id(current)] = current, Screen(data, here, self.joint, joints)
+        return self._screens[id(current)][1]
 
     def _price_of(self, group: list[Candidate]) -> float:
         return price(group[0].terms, self.n)

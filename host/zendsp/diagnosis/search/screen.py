@@ -253,7 +253,20 @@ class Screen:
         best = (
             max(self._at(effect, group), key=lambda found: found[0]) for group in points.values()
         )
-        return [self._candidate(effect, *found) for found in best]
+        return [
+            self._candidate(effect, gain, self._searched_for(effect, values))
+            for gain, values in best
+        ]
+
+    def _searched_for(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:
+        """The values, of a wave with an order within the limits of a search: only a given one may
+        have fewer periods in the travel.
+        """
+        for name in effect.names:
+            if effect.parameter(name).size == "order":
+                low, high = parameter_bounds(effect.name, name, self.records[0])
+                return {**values, name: min(max(values[name], low), high)}
+        return values
 
     def _at(
         self, effect: Effect, points: Sequence[dict[str, float]]
@@ -357,10 +370,6 @@ class Screen:
 
     def _candidate(self, effect: Effect, gain: float, values: dict[str, float]) -> Candidate:
         replaces = tuple(t.effect for t in self.model.at(self.joint) if t.effect in effect.replaces)
-        for name in values:  # a given wave may have fewer periods than are searched for
-            if effect.parameter(name).size == "order":
-                low, high = parameter_bounds(effect.name, name, self.records[0])
-                values = {**values, name: min(max(values[name], low), high)}
         return Candidate(
             effect.name, self.joint, (make_term(effect, self.joint, values),), replaces, gain
         )
