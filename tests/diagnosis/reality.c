@@ -7,10 +7,12 @@ typedef struct { double q, v, there, speed, seen, bend; } state;
 /* Torque of the spring or the gap on the joint; the load moves on. */
 static double pull(const numbers *m, state *s, double h)
 {
-    const double apart = s->q - s->there;
+    /* an uneven transmission turns the spring by `slope` for each turn of the motor */
+    const double slope = 1.0 + 5 * m->wobble * cos(5 * s->q + 0.6),
+                 apart = s->q + m->wobble * sin(5 * s->q + 0.6) - s->there;
     double push = 0.0;
     if (m->soft != 0.0) {
-        push = m->soft * apart + m->hard * pow(apart, 3) + 0.02 * (s->v - s->speed);
+        push = m->soft * apart + m->hard * pow(apart, 3) + 0.02 * (slope * s->v - s->speed);
         const double held = tanh(s->speed / 1e-3), steep = m->dry_load / 1e-3 * (1 - held * held);
         s->speed += h * (push - m->dry_load * held) / (m->load + h * steep);
     } else {
@@ -20,7 +22,7 @@ static double pull(const numbers *m, state *s, double h)
         s->speed += h * push / m->load;
     }
     s->there += h * s->speed;
-    return push;
+    return slope * push;
 }
 
 /* Torque that resists the joint, but for dry friction, and the inertia that it turns. */
@@ -30,7 +32,7 @@ static double resist(const numbers *m, double q, double v, double *inertia)
                m->gravity * sin(q) + m->ripple * sin(m->order * q + 0.4) + m->spring * q;
     f += m->wave * tanh(3 * sin(3 * q)) * cos(2 * v) + m->wiggle * v / (1 + v * v);
     *inertia = m->inertia;
-    if (m->wobble != 0.0) { /* the load turns by `slope` for each turn of the motor */
+    if (m->wobble != 0.0 && m->soft == 0.0) { /* the load turns by `slope` for each turn of the motor */
         const double slope = 1.0 + 5 * m->wobble * cos(5 * q + 0.6),
                      bend = -25 * m->wobble * sin(5 * q + 0.6);
         *inertia *= slope * slope;

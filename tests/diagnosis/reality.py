@@ -72,7 +72,7 @@ class Machine:
     # N m/rad: the spring before `load`, without a gap, with `hard` times the bend cubed
     soft: float = 0.0
     hard: float = 0.0
-    wobble: float = 0.0  # rad by which a rigid transmission errs, five times a turn
+    wobble: float = 0.0  # rad by which the transmission errs, rigid or soft, five times a turn
     both_sides: bool = False  # a second encoder, of the load, and a torque sensor at the spring
     dry_load: float = 0.0  # N m: dry friction of the load, behind the spring
     thin: float = 0.0  # 1/K by which dry friction falls with the temperature, which rises by 15 K

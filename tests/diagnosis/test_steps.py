@@ -266,7 +266,7 @@ def test_a_step_waits_for_a_second_that_is_not_contradicted_or_that_another_doub
 
     def accept(before: Any, rival: Rival, waits: bool = False) -> bool:
         pair = rival.effect == "stiffness" and before.deviance == 0.0
-        return pair and not asked[2:] or (waits and rival.effect not in contradicted)
+        return (pair and not asked[2:]) or (waits and rival.effect not in contradicted)
 
     monkeypatch.setattr(forward, "is_white", lambda *_: False)
     monkeypatch.setattr(Rounds, "round", round_of)
@@ -343,6 +343,36 @@ def test_a_filter_that_a_delay_explains_as_well_is_called_a_delay() -> None:
     found = JointSearch(1, calibrated, [Step(rival, (), calibrated)], scored)
     best, _ = simplify(found, informative(calibrated.data, 1), 1)
     assert [t.effect for t in best.model.at(1)] == ["viscous", "coulomb", "delay"]
+
+
+@pytest.mark.parametrize(
+    ("smear", "left"), [(0.0, ["delay"]), (3e-3, ["delay", "position_filter"])]
+)
+def test_two_laws_of_timing_that_together_are_one_delay_are_called_that(
+    smear: float, left: list[str]
+) -> None:
+    """A delay of 3.2 rows was a column 3 rows early and a filter of a seventh of a row, of which
+    neither was claimed. A filter of one and a half rows is its own law.
+    """
+    reference = reality.multisine(12.0, RATE, 3, high=8.0)
+    columns = reality.simulate(reality.Machine(delay=6.2e-3, smear=smear), reference, RATE)
+    base = model_of(VISCOUS, COULOMB)
+    calibrated = calibrate_joint(data_of(columns, base), base, 1)
+    early = {"kind": "column_shift", "joint": 1, "time": -6e-3}
+    if smear:
+        early = {"kind": "delay", "joint": 1, "time": 6e-3}
+    filtered = {"kind": "position_filter", "joint": 1, "time_constant": smear or 4e-4}
+    split = model_of(VISCOUS, COULOMB, early, filtered)
+    handles = joint_handles(calibrated.data, split, 1)
+    scored = fit_scored(calibrated.data, split, handles, (1,), jobs=1)
+    steps = [
+        Step(Rival(t.effect, 1, scored, 10.0, (t,), ()), (), calibrated) for t in split.at(1)[2:]
+    ]
+    found = JointSearch(1, calibrated, steps, scored)
+    best, _ = simplify(found, informative(calibrated.data, 1), 1)
+    assert [t.effect for t in best.model.at(1)] == ["viscous", "coulomb", *left]
+    late = sum(t.parameters[next(iter(t.parameters))].value for t in best.model.at(1)[2:])
+    assert late == pytest.approx(6.2e-3 + smear, abs=4e-4)
 
 
 @pytest.mark.parametrize("held", [True, False])
