@@ -28,12 +28,12 @@ def upon_given_springs(search: JointSearch, given: Model, searcher: Searcher) ->
     """The search, or a likelier one that began with the springs as they are ``given``, calibrated
     at its end.
     """
-    joint, jobs, data = search.joint, searcher.jobs, searcher.rounds.data
+    joint = search.joint
     springs = _springs_of(given, joint)
     moved = any(_left(t, _springs_of(search.base.model, joint).get(e)) for e, t in springs.items())
     if not moved or is_white(search.final, joint):
         return search
-    tell = searcher.rounds.progress
+    jobs, data, tell = searcher.jobs, searcher.rounds.data, searcher.rounds.progress
     tell(Step.SEARCHING.says(f"joint {joint}: with its spring as it was given"))
     beneath = _with_springs(given, joint, {e: t.held() for e, t in springs.items()})
     upon = Searcher(data, joint, searcher.accept, jobs, tell, beneath)
