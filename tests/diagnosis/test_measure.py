@@ -375,17 +375,17 @@ def test_the_half_row_of_a_first_order_simulator_is_not_missing_physics(
 
 def test_a_number_is_not_bent_into_the_limits_of_shorter_recordings() -> None:
     """By the limits of such a recording alone 6 waves a turn had become 6 ± 19."""
-    ripple = {"kind": "ripple", "joint": 1, "order": 7.0, "amplitude": 0.02, "phase": 0.4}
-    model, machine = model_of(VISCOUS, COULOMB, ripple), reality.Machine(ripple=0.02)
+    uneven = {"kind": "position_friction", "joint": 1, "period": 0.9, "amplitude": 0.02, "phase": 0}
+    model, machine = model_of(VISCOUS, COULOMB, uneven), reality.Machine(uneven=0.02)
     far, near = (
         data_of(reality.simulate(machine, reality.multisine(8.0, RATE, 3, size=size), RATE), model)
         for size in (1.0, 0.05)
     )
     handles = joint_handles(far, model, 1)
-    at = next(i for i, h in enumerate(handles) if h.key == "order")
+    at = next(i for i, h in enumerate(handles) if h.key == "period")
     asked = near.within_limits_of(far)
     alone, within = (
         fit(d, model, handles, joints=(1,), iterations=0).x[at] for d in (near, asked)
     )
-    assert within == pytest.approx(7.0) and alone > 10.0
+    assert within == pytest.approx(0.9) and alone < 0.3
     assert np.array_equal(asked.records[0][0].position, near.records[0][0].position)
