@@ -33,10 +33,10 @@ def _through_spring(along: Along, torque: Array) -> Array:
     """The torque on a rigid joint that moves the motor as a torque on its load does, N m or N:
     (c s + k) / (m s² + c s + k) of it, with m = motor load / (motor + load).
     """
-    from scipy.signal import bilinear, lfilter
-
     if not along.spring:
         return torque
+    from scipy.signal import bilinear, lfilter  # takes a second to import
+
     k, c, load = along.spring
     whole = float(np.mean(along.inertia))
     reduced = load * max(whole - load, MOTOR * whole) / whole
