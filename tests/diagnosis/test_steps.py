@@ -369,8 +369,10 @@ def test_two_laws_of_timing_that_together_are_one_delay_are_called_that(
         Step(Rival(t.effect, 1, scored, 10.0, (t,), ()), (), calibrated) for t in split.at(1)[2:]
     ]
     found = JointSearch(1, calibrated, steps, scored)
+    one = simplification._as_one_time(found, scored, 1)
     best, _ = simplify(found, informative(calibrated.data, 1), 1)
-    assert [t.effect for t in best.model.at(1)] == ["viscous", "coulomb", *left]
+    for model in (one.model, best.model):
+        assert [t.effect for t in model.at(1)] == ["viscous", "coulomb", *left]
     late = sum(t.parameters[next(iter(t.parameters))].value for t in best.model.at(1)[2:])
     assert late == pytest.approx(6.2e-3 + smear, abs=4e-4)
 
