@@ -84,6 +84,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "enum { TO_SWITCH, OFF_SWITCH, TO_INDEX, LONGEST = 20000 };   /* samples, in all */",
     ): "takes the place of parts of the page's machine: tests/target/test_docs.py homes it",
     ("docs/machines.md", "static void axis_keep_alive(void *h) {"): SYNTAX,
+    ("docs/measurements/arms.md", "python benchmarks/forms.py FOLDER"): CLONE,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/loop.md", "python benchmarks/many.py 50"): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
