@@ -279,6 +279,15 @@ def test_a_second_that_is_missing_is_asked_about_before_it_is_refused() -> None:
     assert "a gap of 1 s" in asked and "zendsp cut 'my run.csv' -o part.csv" in asked
 
 
+def test_a_time_that_jumps_back_is_asked_about() -> None:
+    """A file of two runs got a model file without a word, and was refused by the diagnosis."""
+    time = np.concatenate([T[: N // 2], T[: N - N // 2]])
+    columns = {"t": time, "q": np.sin(3 * time), "u": np.cos(3 * time)}
+    drawn = draft_model(Table(columns, {}, {}, Path("two.csv")))
+    (asked,) = [q for q in drawn.questions if "the time" in q]
+    assert f"does not run forwards at row {N // 2 + 1}" in asked and "zendsp cut two.csv" in asked
+
+
 def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
     with pytest.raises(RecordingError, match=r"no column looks like a position; it has t, a, b"):
         draft_model(Table({"t": T, "a": T, "b": T}, {}, {}, Path("run.csv")))

@@ -162,3 +162,16 @@ def test_a_stop_ends_the_hold_of_a_pause(runtime: Runtime) -> None:
     lab.ask("stop")
     until(lambda: lab.desk.ask("status").trip is not None, "it stands", lab.told)
     assert not np.any(lab.desk.ask("status").io["aout"])
+
+
+def test_where_no_program_is_loaded_a_latched_stop_is_named_before_it(runtime: Runtime) -> None:
+    """After a STOP that ended an experiment a start asked for a program, which no load gave."""
+    lab = Lab(runtime, 0)
+    assert lab.ask("start") == "no program is loaded: compile and load one first"
+    lab.ask("stop")
+    until(lambda: lab.desk.ask("status").trip is not None, "it stands", lab.told)
+    refusal = lab.ask("start")
+    assert refusal.startswith("no program is loaded: acknowledge 'STOP"), refusal
+    assert refusal.endswith("' first, then compile and load one")
+    lab.acknowledge(lab.ask("acknowledge"))
+    assert lab.ask("start") == "no program is loaded: compile and load one first"

@@ -193,11 +193,16 @@ def _sample_time(page: Page, clock: Group | None, file: str) -> float:
     missing = int(np.sum(np.round(steps / step) - 1, where=steps > 1.5 * step, initial=0.0))
     jitter = float(np.std(steps[steps < 1.5 * step])) / step  # as `model check` says of it
     longest = float(np.max(steps))
-    if is_gap(longest, step):
+    broken = ""
+    if (steps <= 0).any():
+        broken = f"does not run forwards at row {int(np.argmax(steps <= 0)) + 2}"
+    elif is_gap(longest, step):
+        broken = f"has a gap of {longest:.3g}{' s' if shown <= 0.1 else ''}"
+    if broken:
         page.line(
-            ask=f"the time has a gap of {longest:.3g}{' s' if shown <= 0.1 else ''}: two runs in"
-            f" one file? '{shlex.join(['zendsp', 'cut', file, '-o', 'part.csv'])}' makes them two,"
-            " and a diagnosis takes no other"
+            ask=f"the time {broken}: two runs in one file?"
+            f" '{shlex.join(['zendsp', 'cut', file, '-o', 'part.csv'])}' makes them two, and a"
+            " diagnosis takes no other"
         )
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
