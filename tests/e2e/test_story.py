@@ -19,13 +19,13 @@ from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.demo.controller import not_cancelled, plan_update, slots, sources
-from zendsp.demo.evidence import judge
+from zendsp.demo.evidence import Judged, judge
 from zendsp.demo.narrator import Narrator
 from zendsp.demo.picture import _missing
 from zendsp.demo.run import concealment
 from zendsp.demo.runs import prepare_machine
 from zendsp.demo.stage import get_stage, nominal_model
-from zendsp.demo.story import Recorded, Told, _within_limits
+from zendsp.demo.story import Recorded, Told, _named_beside, _within_limits
 from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.measure.where import Missing
@@ -357,3 +357,16 @@ def test_a_proposed_motion_is_played_as_large_as_the_machine_may(
     assert (played is None) == (size is None)
     if played is not None and size is not None:
         assert np.ptp(played.q) == pytest.approx(2 * size, rel=1e-3)
+
+
+@pytest.mark.parametrize(("machine", "there"), [("pendulum", True), ("imi_planar", False)])
+def test_what_the_machine_has_besides_is_not_called_wrong(machine: str, there: bool) -> None:
+    """The pendulum's supply of 24 V is not in its nominal model. A story of a concealed drag said
+    of the saturation that was found: not there.
+    """
+    finding = Finding("saturation", 1, {}, 0.96, 0.02, ("voltage_limit",), (), "")
+    told = Told(cast(Recorded, None), cast(Diagnosis, None))
+    narrator = Narrator(quiet=True)
+    _named_beside(get_stage(machine), Judged(True, True, (), (finding,), ()), told, narrator)
+    assert ("true of this machine" in narrator.said[-1]) is there
+    assert bool(told.failures) is not there

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,8 @@ class Stage:
         Effects that a random draw may choose.
     approach_s : float
         From where the machine stands to the first row of a motion, s.
+    besides : mapping of str to str
+        Effects that the machine has, besides what it conceals, and its nominal model has not: why.
     """
 
     machine: str
@@ -52,6 +54,7 @@ class Stage:
     mechanism: Callable[[Machine, Path], MechanismTable]
     pool: tuple[str, ...]
     approach_s: float = 1.0
+    besides: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def plan(self) -> Machine:
@@ -119,6 +122,7 @@ STAGES = {
         machine="pendulum", Kp=(4.0,), Kd=(0.06,), cutoff=30.0, train=motions.pendulum_train,
         heldout=motions.pendulum_heldout, work=motions.pendulum_work,
         mechanism=motions.pendulum_mechanism, pool=motions.PENDULUM_POOL,
+        besides=dict.fromkeys(("saturation", "voltage_limit"), "its supply gives 24 V, no more"),
     ),
     "wam7": Stage(
         machine="wam7",

@@ -361,8 +361,16 @@ def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
         told.failures.append("the concealed effect was not named")
     for row in judged.parameters:
         narrator.say(compared(*row))
+    _named_beside(machine.stage, judged, told, narrator)
+
+
+def _named_beside(stage: Stage, judged: Judged, told: Told, narrator: Narrator) -> None:
+    """Tell of what was named beside the concealed effects, and whether the machine has it."""
     for extra in judged.extra:
         name = f"{extra.effect} on joint {extra.joint}"
+        if why := stage.besides.get(extra.effect):
+            narrator.say(f"named beside it, and true of this machine: {name}; {why}", good=True)
+            continue
         narrator.say(
             f"named beside it, and not there: {name}, {100 * extra.share:.1f} % of the mismatch",
             good=False,
