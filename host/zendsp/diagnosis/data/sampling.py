@@ -253,7 +253,12 @@ def by_motion(of: Clock, name: str, position: Array) -> Clock:
         return of
     if not evenly_read(of, position):
         note = f"{name}: resampled uniformly, by the time stamps"
-        return replace(of, notes=(*of.notes, note))
+        of = replace(of, notes=(*of.notes, note))
+        usual = float(np.median(np.diff(of.time)))
+        if not (of.rounded and usual < of.period):
+            return of
+        # as finely as most rows stand, so that nothing between two of them is lost
+        return replace(of, period=usual, grid=np.arange(of.time[0], of.time[-1], usual))
     why, n = "" if of.rounded else " the motion does not jitter:", len(of.time)
     notes = *of.notes, f"{name}:{why} its rows are taken as evenly spaced"
     period = of.period if of.rounded else float(of.time[-1] - of.time[0]) / (n - 1)
