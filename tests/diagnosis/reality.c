@@ -32,7 +32,7 @@ static double resist(const numbers *m, double q, double v, double *inertia)
                m->gravity * sin(q) + m->ripple * sin(m->order * q + 0.4) + m->spring * q;
     f += m->wave * tanh(3 * sin(3 * q)) * cos(2 * v) + m->wiggle * v / (1 + v * v);
     *inertia = m->inertia;
-    if (m->wobble != 0.0 && m->soft == 0.0) { /* the load turns by `slope` for each turn of the motor */
+    if (m->wobble != 0.0 && m->soft == 0.0) { /* the load turns by `slope` a turn of the motor */
         const double slope = 1.0 + 5 * m->wobble * cos(5 * q + 0.6),
                      bend = -25 * m->wobble * sin(5 * q + 0.6);
         *inertia *= slope * slope;

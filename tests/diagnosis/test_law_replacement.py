@@ -291,7 +291,8 @@ def test_a_friction_that_creeps_stands_once_where_a_joint_is_decided_again(
     monkeypatch.setattr(one_joint, "upon", lambda *_: None)
     monkeypatch.setattr(one_joint, "decide", lambda *_: None)
     beneath = model((coulomb, creep) if stated else (coulomb,))
-    one_joint.decided_again(SimpleNamespace(fit=None), beneath, first, 1, lambda _: None)  # type: ignore[arg-type]
+    parts: Any = SimpleNamespace(fit=None)
+    one_joint.decided_again(parts, beneath, first, 1, lambda _: None)
     assert seen[0].terms == (coulomb, creep)
 
 

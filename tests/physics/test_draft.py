@@ -285,7 +285,7 @@ def test_a_time_that_jumps_back_is_asked_about() -> None:
     columns = {"t": time, "q": np.sin(3 * time), "u": np.cos(3 * time)}
     drawn = draft_model(Table(columns, {}, {}, Path("two.csv")))
     (asked,) = [q for q in drawn.questions if "the time" in q]
-    assert f"does not run forwards at row {N // 2 + 1}" in asked and "zendsp cut two.csv" in asked
+    assert f"runs backwards at row {N // 2 + 1}" in asked and "zendsp cut two.csv" in asked
 
 
 def test_a_table_without_positions_is_refused_with_what_it_has() -> None:

@@ -53,8 +53,8 @@ class Motion:
         """
         _, lib = layout()
         with self._programs.lock:
+            self._programs.require_no_trip()  # which no load would clear
             session = self._programs.living()
-            self._programs.require_no_trip()
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs already: pause it first")
             if ticks is not None and not 1 <= ticks <= MOST_TICKS:

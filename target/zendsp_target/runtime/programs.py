@@ -245,10 +245,7 @@ class Programs:
         """
         session = self.session
         if session is None:
-            trip = self.latched()
-            first = f"acknowledge '{trip.text}' first, then " if trip else ""
-            last = "" if trip else " first"
-            raise Refused(f"no program is loaded: {first}compile and load one{last}")
+            raise Refused("no program is loaded: compile and load one first")
         return session
 
     def living(self) -> Session:

@@ -48,7 +48,7 @@ from zendsp.diagnosis.measure.discrepancy import (
 )
 from zendsp.diagnosis.measure.evidence import Evidence, compare, heard_slowly
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
-from zendsp.diagnosis.measure.significance import essence_of
+from zendsp.diagnosis.measure.significance import counterpart, essence_of
 from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.simplify import SIMPLER_COST, hopeless
@@ -402,8 +402,8 @@ def _keeps_its_numbers(given: Model, final: Model, piece: Piece) -> bool:
         """The largest change of a number, as a part of it."""
         changes = [0.0]
         for term in kept_laws(given, model, joint, DRY):
-            stated = next((t for t in given.at(joint) if t.effect == term.effect), None)
-            if stated is not None and mechanism_of(term.effect) == DRY:
+            if mechanism_of(term.effect) == DRY:
+                stated = counterpart(given.terms, term)
                 numbers = [(stated.value(k), term.value(k)) for k in essence_of(term.effect)]
                 changes += [abs(now - was) / abs(was) for was, now in numbers if was]
         return max(changes)

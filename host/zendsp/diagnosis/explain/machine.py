@@ -160,8 +160,8 @@ def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
     if bodies.instead and _weighs(found.decisions[bodies.instead[1] - 1]):
         return bodies.instead[0]
     claimed = sum(_weighs(d) for d in found.decisions)
-    open_ = sum(d.kind == Verdict.UNEXPLAINED for d in found.decisions)
-    several = claimed and claimed + open_ > 1
+    unnamed = sum(d.kind == Verdict.UNEXPLAINED for d in found.decisions)
+    several = claimed > 0 and claimed + unnamed > 1
     return bodies.small if several and not bodies.found else None
 
 

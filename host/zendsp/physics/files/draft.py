@@ -194,8 +194,8 @@ def _sample_time(page: Page, clock: Group | None, file: str) -> float:
     jitter = float(np.std(steps[steps < 1.5 * step])) / step  # as `model check` says of it
     longest = float(np.max(steps))
     broken = ""
-    if (steps <= 0).any():
-        broken = f"does not run forwards at row {int(np.argmax(steps <= 0)) + 2}"
+    if (steps < 0).any():
+        broken = f"runs backwards at row {int(np.argmax(steps < 0)) + 2}"
     elif is_gap(longest, step):
         broken = f"has a gap of {longest:.3g}{' s' if shown <= 0.1 else ''}"
     if broken:
