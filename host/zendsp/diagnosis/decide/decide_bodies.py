@@ -232,7 +232,7 @@ def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decisio
 
     def told(c: Claim, joint: int) -> Claim:
         nameless = c.effect == "unknown" and c.mechanism == "position_torque"
-        if not nameless and (c.effect == "unknown" or c.effect not in like_bodies()):
+        if not nameless and c.effect not in like_bodies():
             return c
         own = [h for h in search.tried if h.hypothesis.effect == c.effect]
         own = [e for e in own if e.hypothesis.joint in (0, joint)]

@@ -238,7 +238,7 @@ def _searched(
             break
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}, its numbers"))
         best = _with_numbers(fit, choose, layout, tried, limits, jobs, aside)
-        # a body on which recordings disagree is not real, and hides real ones
+        # one that is small or on which recordings disagree hides real ones: joints may ask for it
         if weight_of(choose, layout, best) < limits.least or unsure(best, limits):
             small = small if found else _stated(layout, best, tried, limits, aside)
             break
