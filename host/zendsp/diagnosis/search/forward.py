@@ -157,8 +157,17 @@ class Searcher:
         """
         least = max(WORTH, LOOK_AHEAD * self.rounds.n)
         likely = [r for r in rivals if _gain(current, r) > least]
-        plain = (r for r in likely if self.accept(current, r, waits=True))
+        seen = frozenset(r.effect for r in rivals[:GLANCE])
+        plain = (
+            r
+            for r in likely
+            if self.accept(current, r, waits=True) and self._followed(r, least, seen)
+        )
         return next(plain, None) or next((r for r in likely if self._bent(current, r)), None)
+
+    def _followed(self, rival: Rival, least: float, seen: frozenset[str]) -> bool:
+        """Whether a second step promises a gain that is worth the wait."""
+        return self.rounds.glance(rival.scored, seen) < rival.scored.deviance - least
 
     def _bent(self, current: Scored, rival: Rival) -> bool:
         """Whether a second step promises to gain more than this one did alone."""
