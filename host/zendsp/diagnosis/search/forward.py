@@ -152,22 +152,21 @@ class Searcher:
 
     def _waits(self, current: Scored, rivals: list[Rival]) -> Rival | None:
         """The step that waits for the next one where none passes by itself: the first likely one
-        that the recordings to choose by do not contradict, or else the first that another one more
-        than doubles. Alone it was bent: a lag that did a spring's work had 5 ms in place of 4.
+        that the recordings to choose by do not contradict and behind which another one is worth a
+        step, or else the first that another one more than doubles. Alone it was bent: a lag that
+        did a spring's work had 5 ms in place of 4.
         """
         least = max(WORTH, LOOK_AHEAD * self.rounds.n)
         likely = [r for r in rivals if _gain(current, r) > least]
-        seen = frozenset(r.effect for r in rivals[:GLANCE])
-        plain = (
-            r
-            for r in likely
-            if self.accept(current, r, waits=True) and self._followed(r, least, seen)
-        )
-        return next(plain, None) or next((r for r in likely if self._bent(current, r)), None)
-
-    def _followed(self, rival: Rival, least: float, seen: frozenset[str]) -> bool:
-        """Whether a second step promises a gain that is worth the wait."""
-        return self.rounds.glance(rival.scored, seen) < rival.scored.deviance - least
+        seen, alone = frozenset(r.effect for r in rivals[:GLANCE]), frozenset[str]()
+        for rival in likely:
+            if not self.accept(current, rival, waits=True):
+                continue
+            ahead = self.rounds.glance(rival.scored, seen - alone, alone)
+            if ahead < rival.scored.deviance - least:
+                return rival
+            alone |= {rival.effect}  # as the second of a pair it would be the same pair again
+        return next((r for r in likely if self._bent(current, r)), None)
 
     def _bent(self, current: Scored, rival: Rival) -> bool:
         """Whether a second step promises to gain more than this one did alone."""
