@@ -76,6 +76,11 @@ def test_only_what_is_larger_than_the_unexplained_torque_would_be_found(record, 
     assert much["payload", 3].size > 1.5 * sizes["payload", 3].size
 
 
+def test_no_body_is_stated_that_alone_would_be_all_the_torque(record) -> None:  # type: ignore[no-untyped-def]
+    # a motion of 3 s of the shipped planar arm had a payload of 1 200 000 kg
+    assert not least(record("none", Arm()), 1.0)
+
+
 def test_a_body_that_was_found_is_not_told_as_missed(record) -> None:  # type: ignore[no-untyped-def]
     term = SimpleNamespace(effect="payload", joint=3)
     claim = SimpleNamespace(found=SimpleNamespace(term=term))

@@ -132,13 +132,15 @@ class _Look:
         self.bare = Solver(fit, choose, layout)
 
     def smallest(self, places: Sequence[_Place]) -> Detectable | None:
-        """The smallest size at the worst of some places; None where not even the largest is seen.
+        """The smallest size at the worst of some places; None where not even the largest is seen,
+        or one whose torque alone is as large as all torque.
         """
         place = min(places, key=self._energy)
-        h, felt = place.hypothesis, self._felt(place)
-        size = self._beyond_left(felt)
+        h, weights = place.hypothesis, self._weights(place)
+        felt = weights * np.sqrt(self._not_rubbed(place))
+        size, most = self._beyond_left(felt), min(place.most, 1.0 / float(np.max(weights)))
         for _ in range(LARGER_ONES):
-            if not 0.0 < size < place.most:
+            if not 0.0 < size < most:
                 return None
             lacking = self._short_by(place, size)
             if lacking <= 1.0:
@@ -161,9 +163,16 @@ class _Look:
         left = np.einsum("ja,jab,jb->j", x, rest[:, :-1, :-1], x)
         return np.asarray(left / np.maximum(rest[:, -1, -1], 1e-300))
 
-    def _felt(self, place: _Place) -> Array:
-        """The torque of a size of 1 at each joint that its friction, constant and rotor leave, as a
-        part of the joint's RMS torque, (joints,).
+    def _weights(self, place: _Place) -> Array:
+        """The torque of a size of 1 at each joint as a part of the joint's RMS torque, (joints,).
+        """
+        little = place.values(ONE_MILLI)
+        weights = weights_of(self.data, self.layout, place.hypothesis, little) / ONE_MILLI
+        return np.maximum(np.asarray(weights), 1e-300)
+
+    def _not_rubbed(self, place: _Place) -> Array:
+        """The part of that torque's square that friction, constant and rotor of each joint leave,
+        (joints,).
         """
         x = self.layout.place(place.hypothesis, place.unit)
         whole = self.fit.whole[:, :-1, :-1]
@@ -171,9 +180,7 @@ class _Look:
         x = x[:, NUISANCE:]
         left = np.einsum("ja,jab,jb->j", x, self.bare.rest[:, :-1, :-1], x)
         part = np.where(all_of_it > 0.0, left / np.maximum(all_of_it, 1e-300), 0.0)
-        little = place.values(ONE_MILLI)
-        weights = weights_of(self.data, self.layout, place.hypothesis, little) / ONE_MILLI
-        return np.asarray(weights * np.sqrt(np.clip(part, 0.0, 1.0)))
+        return np.asarray(np.clip(part, 0.0, 1.0))
 
     def _beyond_left(self, felt: Array) -> float:
         """The least size with which most of the torque acts where it exceeds what is left, and the
