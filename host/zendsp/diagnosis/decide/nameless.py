@@ -126,6 +126,9 @@ def told_apart(
         return True
     if decision.after.value < SIMULATORS_DIFFER:
         return True
+    # bristles have a memory, which no function of the state predicts
+    if decision.state.share < PREDICTED and decision.after.high < LEFT_BY_A_LAW * claim.size:
+        return True
     model, joint = decision.base.model, decision.joint
     if laws:
         model = beside_unknown(given, decision.final.model, joint, claim.mechanism, laws)
