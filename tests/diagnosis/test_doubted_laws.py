@@ -17,7 +17,7 @@ from zendsp.diagnosis.decide import absorbed, believed, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
-from zendsp.diagnosis.decide.nameless import told_apart
+from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart
 from zendsp.diagnosis.decide.rivals import _late_alike, _likelier
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -347,3 +347,25 @@ def test_a_mechanism_without_a_law_and_without_variables_leaves_little(
     decision = of_one_claim(claim, 0.18, left)
     nothing: Any = None
     assert told_apart(claim, decision, nothing, nothing, ()) is stands
+
+
+@pytest.mark.parametrize(
+    ("left", "of_state", "told"), [(0.005, 0.0, True), (0.015, 0.0, False), (0.005, 0.9, False)]
+)
+def test_a_friction_with_a_memory_is_known_by_what_its_laws_leave(
+    left: float, of_state: float, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The shipped planar arm has bristles, breakaway and a friction that varies along its travel:
+    four laws explained 99 % of what was missing, no function of the state anything, and no physics
+    was claimed. Of a pendulum with bristles it was called a fluid friction.
+    """
+    monkeypatch.setattr(
+        "zendsp.diagnosis.decide.nameless.structure", lambda *_: Structure(0.0, 0.0, 0.0)
+    )
+    claim = replace(claim_of(term("presliding"), 0.059), effect="unknown")
+    found = of_one_claim(claim, 0.048, left)
+    found = replace(found, base=SimpleNamespace(model=None), state=Structure(0.04, of_state, 5.0))
+    nothing: Any = SimpleNamespace(each=())
+    assert told_apart(claim, found, nothing, nothing, ()) is told
+    if told:
+        assert by_its_variables(claim, found, nothing, nothing).mechanism == "dry_friction"

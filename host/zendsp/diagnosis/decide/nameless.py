@@ -82,6 +82,8 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
         return claim
     if claim.term.effect != "unknown" and decision.bare.value < LAW_ERROR * claim.size:
         return claim  # one of its laws leaves nothing, though no name: its numbers may be at an end
+    if _has_memory(claim, decision):
+        return claim
     model, joint = decision.base.model, decision.joint
     of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
     steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY] and not _rises(given, decision)
@@ -126,8 +128,7 @@ def told_apart(
         return True
     if decision.after.value < SIMULATORS_DIFFER:
         return True
-    # bristles have a memory, which no function of the state predicts
-    if decision.state.share < PREDICTED and decision.after.high < LEFT_BY_A_LAW * claim.size:
+    if _has_memory(claim, decision):
         return True
     model, joint = decision.base.model, decision.joint
     if laws:
@@ -139,6 +140,15 @@ def told_apart(
     others = max(of[m].size for m in STRUCTURED if m not in kind_of(claim.mechanism))
     more = A_PART if decision.state.size < SIMULATORS_DIFFER else 0.0
     return others**2 <= (1.0 + more) * own.size**2
+
+
+def _has_memory(claim: Claim, decision: Decision) -> bool:
+    """Whether no function of the state predicts the missing torque, and the mechanism's laws do,
+    the first of which has states of its own, as bristles have: what they leave tells the mechanism.
+    """
+    law, left = claim.term.effect, LEFT_BY_A_LAW * claim.size
+    remembers = law != "unknown" and get_effect(law).hidden
+    return remembers and decision.state.share < PREDICTED and decision.after.high < left
 
 
 def _least(mechanism: str) -> float:
