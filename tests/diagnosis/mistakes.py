@@ -30,6 +30,10 @@ def scale(factor: float, *names: str) -> Callable[[Columns], None]:
     return change
 
 
+def set_value(c: Columns) -> None:
+    c["u"] = c["r"].copy()
+
+
 def swap(c: Columns) -> None:
     c["q"], c["u"] = c["u"], c["q"]
 
@@ -120,6 +124,8 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "command in units under a head of milli-units": (
         scale(0.001, "u"), "N m under a head that says mN m? Write the unit",
     ),
+    "a torque before a gear": (scale(1 / 50.0, "u"), "on the other side of a gear"),
+    "the set value in place of the command": (set_value, "names a set value of the position"),
     "sign of the command": (scale(-1.0, "u"), "sign of the command or of the position is flipped"),
     "sign of the position": (scale(-1.0, "q"), "flipped"),
     "swapped columns": (swap, "swapped"),

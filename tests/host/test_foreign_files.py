@@ -27,6 +27,46 @@ def test_time_stamps_of_parquet_are_seconds(tmp_path: Path) -> None:
         assert table.notes == ("timestamp: seconds since 2023-11-14T22:13:20.000000001",)
 
 
+def test_durations_of_parquet_are_seconds(tmp_path: Path) -> None:
+    """A timedelta of pandas was left out, and the rows stood without a clock."""
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    for unit, each in (("ms", 2), ("us", 2_000), ("ns", 2_000_000)):
+        passed = pyarrow.array([0, each, None]).cast(pyarrow.duration(unit))
+        made = pyarrow.table({"time": passed, "q": [1.0, 2.0, 3.0]})
+        parquet.write_table(made, tmp_path / "l.parquet")
+        table = read_table(tmp_path / "l.parquet")
+        np.testing.assert_allclose(table["time"], [0.0, 0.002, np.nan], rtol=1e-9)
+        assert table.units["time"] == "s"
+
+
+@pytest.mark.parametrize("version", [5, 7.3])
+def test_an_object_of_matlab_is_no_column_and_the_way_to_its_numbers_is_told(
+    version: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reference of a timeseries, six whole numbers, had been read as a position."""
+    path = tmp_path / "run.mat"
+    if version == 5:
+        scipy.io.savemat(path, {"t": T})
+        kept = [("q_ts", "MCOS", "timeseries", np.zeros((6, 1), np.uint32))]
+        opaque = np.array(kept, dtype=[(key, object) for key in ("s0", "s1", "s2", "arr")])
+        found = {"t": T[:, np.newaxis], "None": opaque.view(scipy.io.matlab.MatlabOpaque)}
+        monkeypatch.setattr(scipy.io, "loadmat", lambda *_, **__: found)
+    else:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path, "w", userblock_size=512) as file:
+            file.create_dataset("t", data=T[np.newaxis]).attrs["MATLAB_class"] = np.bytes_("double")
+            made = file.create_dataset("q_ts", data=np.array([[0xDD000000, 2, 1, 1, 1, 1]]))
+            made.attrs.update({"MATLAB_class": np.bytes_("timeseries"), "MATLAB_object_decode": 3})
+        with path.open("r+b") as raw:
+            raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    table = read_table(path)
+    assert list(table.columns) == ["t"]
+    assert "t = q_ts.Time; q = q_ts.Data" in "".join(table.notes)
+    with pytest.raises(RecordingError, match=r"'q_ts' is an object of MATLAB \(timeseries\)"):
+        read_table(path, columns=["t", "q_ts"])
+
+
 def test_own_recordings_keep_their_units_and_tables_of_them_are_si(tmp_path: Path) -> None:
     own = Recording.from_columns(
         {"q": np.degrees(Q), "u": U}, sample_time=0.002, units={"q": "deg"}

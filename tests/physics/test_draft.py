@@ -16,6 +16,7 @@ from zendsp.physics.files.draft import draft_model
 from zendsp.physics.files.model_file import parse_model
 from zendsp.recording import Table, read_table
 from zendsp.recording.roles import role_of
+from zendsp.recording.units import to_si
 
 
 def test_numbers_come_from_the_recording() -> None:
@@ -58,6 +59,34 @@ def test_the_draft_asks_what_the_recording_cannot_say() -> None:
         assert words.lower() in asked.lower()
     assert draft.text.count("# ? ") == len(draft.questions)
     assert model_of(draft.text).columns["command"] == "iq"
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_command_that_is_the_position_in_its_numbers_is_asked_about(beside: bool) -> None:
+    """As ``writetable`` has it: Command was the set value, and a spring of 0.16 N m/rad^3 with a
+    confidence of 96 % came of it.
+    """
+    columns = recording()
+    table = {"t": columns["t"], "Position": columns["q"], "Command": 1.07 * columns["r"]}
+    table |= {"Current": columns["tau"]} if beside else {}
+    draft = draft_model(Table(table, {}, {}, Path("run.csv")))
+    asked = "\n".join(draft.questions)
+    assert "Command is all but equal to Position" in asked
+    model = model_of(draft.text).columns
+    assert model["command"] == ("Current" if beside else "Command"), asked
+    assert model.get("reference") == ("Command" if beside else None)
+    torque = draft_model(Table({**columns, "i": columns["tau"]}, {}, {}, Path("run.csv")))
+    assert model_of(torque.text).columns["command"] == "tau"
+    assert "all but equal" not in torque.text
+
+
+def test_time_in_days_is_asked_about_and_read_once_its_unit_is_written() -> None:
+    columns = recording()
+    days = {**columns, "t": 739000.0 + columns["t"] / 86400.0}  # a datenum of MATLAB
+    draft = draft_model(Table(days, {}, {}, Path("run.csv")))
+    assert "write its unit: 't [days]'" in draft.text
+    assert model_of(draft.text).sample_time == pytest.approx(STEP, rel=0.01)
+    assert to_si("days") == (86400.0, "s")
 
 
 def test_a_saturated_command_shows_the_limit() -> None:

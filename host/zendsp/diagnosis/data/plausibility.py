@@ -20,6 +20,7 @@ from zendsp.diagnosis.data.order import check_order
 from zendsp.diagnosis.data.regression import Regression, Slow, look, regress, rigid_body
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
+from zendsp.physics.kernel.signals import is_set_value
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
@@ -146,6 +147,8 @@ def check_driven(
             continue
         if signs and not right:
             _sign(name, found)
+        if is_set_value(here.u[i], here.y[i]):
+            _set_value(name, found)
         much = found.slope - ERRORS * found.error > MUCH and found.r2 > HALF
         if (little or much) and not right:
             kind = model.joint_kind(i + 1)
@@ -238,6 +241,17 @@ def _sign(name: str, found: Regression) -> None:
         )
 
 
+def _set_value(name: str, found: Regression) -> None:
+    """Refuse a command that is the position in its numbers and does not move the model."""
+    spread = ERRORS * found.error
+    if found.slope + spread < RIGHT[0] or found.slope - spread > RIGHT[1]:
+        raise RecordingError(
+            f"{name}: the command is all but equal to the position, and the model's inertia comes"
+            f" out as {found.slope:.2g} of what it should be: [columns] names a set value of the"
+            " position as the command; name the torque or the current, and this one as reference"
+        )
+
+
 def _mistakes(
     here: _Looked, rotary: bool, of: str
 ) -> list[tuple[str, tuple[Array, Array, Array]]]:
@@ -249,8 +263,11 @@ def _mistakes(
     words = "degrees, not radians" if rotary else "millimetres, not metres"
     unit = "deg" if rotary else "mm"
     head = "write the unit in the column's head, as 'q"
+    # no inertia tells degrees from a gear: it is right to a factor of two at best
+    geared = "; or it is on the other side of a gear than the command ([actuator] gain)"
     # no inertia of a joint that slides tells millimetres from a command 1000 times too small
-    other = "" if rotary or not of else f"; or, if it stands there, {thousandfold(1e-3, of)}"
+    milli = "" if rotary or not of else f"; or, if it stands there, {thousandfold(1e-3, of)}"
+    other = geared if rotary else milli
     of_units = [
         (f"the position is in {words}: {head} [{unit}]'{other}", (y / small, u, noise / small)),
         (thousandfold(1e3, of), (y, u / 1e3, noise)),

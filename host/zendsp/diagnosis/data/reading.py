@@ -195,7 +195,7 @@ def _main_columns(
             refuse_no_number(name, f"{label} {column!r}", column, values)
     if n < MIN_SAMPLES:
         raise RecordingError(
-            f"{name}: has {n} rows; a diagnosis needs at least {MIN_SAMPLES} samples"
+            f"{name}: has {counted(n, 'row')}; a diagnosis needs at least {MIN_SAMPLES} samples"
         )
     reference = (
         matrix(name, "reference", get, columns["reference"], joints)

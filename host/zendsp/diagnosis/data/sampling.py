@@ -41,6 +41,7 @@ LINES_MISS = 20.0
 UNSEEN = 0.05  # of the time between rows: less is rounding of stamps
 UNITS = 0.02  # tolerance of a factor between units
 IN_COUNTS = 2.0  # times the stated step: whole numbers with a larger one are counts of the sensor
+COARSER = 3.0  # times the stated step: a whole multiple of it is another count, and is told
 # steps in counts that show a lattice: smaller ones are rounding, larger ones exceed the printed
 # digits
 LATTICE = (0.02, 300)
@@ -291,6 +292,12 @@ def resolution_of(
             f" one is: [sensor] matrix = [[{stated:.9g}]]"
         )
     if _on_lattice(y, stated):
+        if found > COARSER * stated:
+            notes.append(
+                f"{where}: its smallest step is {found / stated:.4g} times the model's"
+                f" position_resolution of {stated:.4g}: is it on the other side of a gear, or of"
+                " another encoder?"
+            )
         return stated
     if found > 0:
         for factor, words in ((180 / np.pi, "degrees, not radians"), (1e3, "milli-units")):

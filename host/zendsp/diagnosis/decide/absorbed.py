@@ -404,10 +404,13 @@ def _gravity_only(
         "torque": Estimate(abs(amount), std, given.torque_unit(joint)),
         "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad"),
     }
+    why = "there is an unbalance, or the given number is wrong"
+    if ratio < -1.0:  # it pulls the other way
+        why = "position 0 is where it stands upright ([sensor] offset), or the sign is wrong"
     text = (
         f"Calibration moves the gravity torque of joint {joint} by"
         f" {_by(amount, ratio, std, given.torque_unit(joint))}, far beyond the tolerance of a"
-        " given number: there is an unbalance, or the given number is wrong."
+        f" given number: {why}."
     )
     return [(z, size, _finding("gravity", joint, values, 0.7, ("stiffness",), text))]
 

@@ -15,6 +15,7 @@ from zendsp.physics.files.draft_data import (
     Group,
     Machine,
     best_group,
+    driven_by,
     first_idea,
     groups_of,
     in_order,
@@ -42,6 +43,7 @@ from zendsp.recording.stamps import even_times
 from zendsp.recording.units import ENCODER, not_known
 from zendsp_protocol.texts import counted
 
+SHORTEST = 1e-6  # s between rows: less are days, as a datenum of MATLAB or a spreadsheet has them
 ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
 
 
@@ -104,7 +106,7 @@ def draft_model(
     if known is not None and any(known.slides):
         groups = sliding(groups, known.slides)
         position = best_group(groups, Role.POSITION) or position
-    command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
+    groups, command, asked = driven_by(groups, position)
     command = command and in_order(command, position)
     if robot is not None:
         joints_there = joints_in(robot)
@@ -113,6 +115,8 @@ def draft_model(
     page = Page()
     _head(page, table, f"{nothing}: why?" if bare else "")
     _ask_of_holes(page, [group for group in (position, command) if group is not None])
+    if asked and machine is None:
+        page.line(ask=asked)
     name = (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
     page.line(f"name = {json.dumps(name, ensure_ascii=False)}")
     clock = best_group(groups, Role.TIME)
@@ -205,8 +209,8 @@ def _sample_time(page: Page, clock: Group | None, file: str) -> float:
             " diagnosis takes no other"
         )
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
-    if shown > 0.1:
-        sizes = (1e5, "ns", 1e-9), (100.0, "us", 1e-6), (0.0, "ms", 1e-3)
+    if shown > 0.1 or shown < SHORTEST:
+        sizes = (1e5, "ns", 1e-9), (100.0, "us", 1e-6), (0.1, "ms", 1e-3), (0.0, "days", 86400.0)
         unit, factor = next((u, f) for least, u, f in sizes if shown > least)
         clock_name = clock.names[0]
         page.line(

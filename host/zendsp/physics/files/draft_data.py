@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
-from zendsp.physics.kernel.signals import ALL_OF_RANGE, find_resolution
+from zendsp.physics.kernel.signals import ALL_OF_RANGE, find_resolution, is_set_value
 from zendsp.physics.kernel.smooth import polynomial
 from zendsp.recording import Recording, Table
 from zendsp.recording.notes import JointNote
@@ -131,6 +131,36 @@ def best_group(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> 
         )
 
     return min(some, key=unlikely, default=None)
+
+
+def driven_by(
+    groups: dict[Role, list[Group]], position: Group
+) -> tuple[dict[Role, list[Group]], Group | None, str]:
+    """The columns by role, which of them drives the joints, and a question about it. A command
+    without a unit that is the position in its numbers is a set value, where another could drive.
+    """
+    joints = position.values.shape[1]
+    found = [best_group(groups, role, joints) for role in (Role.COMMAND, Role.CURRENT)]
+    command, current = found
+    if command is None or not _set_value(command, position):
+        return groups, command or current, ""
+    others = [g for g in groups[Role.COMMAND] if g is not command]
+    moved = [*groups.get(Role.REFERENCE, []), command]
+    without = {**groups, Role.COMMAND: others, Role.REFERENCE: moved}
+    driver = best_group(without, Role.COMMAND, joints) or current
+    like = f"{command.names[0]} is all but equal to {position.names[0]}"
+    if driver is None:
+        asked = "is it a set value? Then name here what drives the joint, a torque or a current"
+        return groups, command, f"{like}: {asked}"
+    taken = f"it is taken for its set value, and {driver.names[0]} for the command: is that so?"
+    return without, driver, f"{like}: {taken}"
+
+
+def _set_value(command: Group, position: Group) -> bool:
+    """Whether a command without a unit is a set value, by its numbers."""
+    whole = np.isfinite(command.values).all(axis=1) & np.isfinite(position.values).all(axis=1)
+    both = zip(command.values[whole].T, position.values[whole].T, strict=True)
+    return bool(whole.any() and not command.unit and all(is_set_value(u, y) for u, y in both))
 
 
 def in_order(group: Group, position: Group) -> Group:

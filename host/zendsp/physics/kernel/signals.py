@@ -42,6 +42,9 @@ SMALLEST = 0.001  # quantile of the steps that is taken for one count, to begin 
 ONE = 1.5  # counts: a step below is one count
 STEPS = 10  # that must be there to tell
 COUNTED = 200  # counts: of longer steps the digits printed no longer tell whole ones
+# of a set value on its position: slope, and R^2 (tests/diagnosis/test_input_units.py has commands
+# on either side)
+SAME, FOLLOWED = (0.8, 1.25), 0.9
 OFF, ON = 0.02, 0.98  # of a count off a whole one at most, in so many of the steps
 
 STRETCH = 100  # samples that are looked at together, where impacts are kept out
@@ -95,6 +98,15 @@ class Motion:
     states: Array
     variances: Array
     bandwidth: float
+
+
+def is_set_value(command: Array, position: Array) -> bool:
+    """Whether a command is the position in its numbers, (n,) each, as a set value of it is."""
+    u, y = command - command.mean(), position - position.mean()
+    power, both = float(y @ y), float(u @ y)
+    if power <= 0 or not SAME[0] < both / power < SAME[1]:
+        return False
+    return both**2 > FOLLOWED * power * float(u @ u)
 
 
 def find_resolution(y: Array) -> float:

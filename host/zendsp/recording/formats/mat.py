@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import posixpath
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,14 @@ SHARED = 10  # times that a part of a file may be met, in the mean, and FEW more
 FEW = 1000
 WIDE = ("double", "single", "int64", "uint64", "int32", "uint32")  # as columns 8 bytes a number
 OWN = ("data", "names", "units", KEY)
+OBJECT = ("s0", "s1", "s2", "arr")  # the fields of what SciPy returns for one
+AN_OBJECT = "is an object of MATLAB"
+OBJECTS = {  # how its numbers are had in MATLAB, by how the name of its class ends
+    "timeseries": "t = {0}.Time; q = {0}.Data",
+    "timetable": "by writetable(timetable2table({0}), 'run.csv')",
+    "table": "by writetable({0}, 'run.csv')",
+    "Dataset": "of each signal: q = {0}.get(1).Values.Data, with t = {0}.get(1).Values.Time",
+}
 SERIES = "values"  # the field of Simulink's structures that holds a signal; others say how it looks
 
 
@@ -74,7 +83,8 @@ def read(path: Path) -> Raw:
     found = Raw({})
     for name, value in contents.items():
         _walk(name, value, found)
-    return found
+    objects = [name for name, why in found.refused.items() if why.startswith(AN_OBJECT)]
+    return replace(found, notes=tuple(f"{n}: left out: it {found.refused[n]}" for n in objects))
 
 
 def _read_v5(path: Path) -> dict[str, Any]:
@@ -134,6 +144,9 @@ class _Parts:
         if isinstance(item, self.h5py.Group):
             return self.of(item)
         kind = item.attrs.get("MATLAB_class", b"")
+        if "MATLAB_object_decode" in item.attrs:  # what it holds stands elsewhere, undocumented
+            words = kind.decode(errors="replace") if isinstance(kind, bytes) else str(kind)
+            return _opaque(item.name.rpartition("/")[2], words)
         if item.attrs.get("MATLAB_empty", 0):
             return np.empty((0, 0))
         values = item[()]
@@ -154,6 +167,10 @@ def _walk(name: str, value: Any, found: Raw) -> None:
         _structure(name, value, found)
     elif not isinstance(value, np.ndarray):
         found.refused[name] = f"holds {type(value).__name__}, not numbers"
+    elif value.dtype.names == OBJECT:
+        for record in value.reshape(-1):
+            own, kind = ("".join(_texts(record[key])) for key in ("s0", "s2"))
+            found.refused[own] = _which(own, kind)
     elif value.dtype.names:
         records = () if _labelled(name, value, found) else value.reshape(-1)
         for index, record in enumerate(records):
@@ -165,6 +182,20 @@ def _walk(name: str, value: Any, found: Raw) -> None:
             _walk(f"{name}{{{index + 1}}}", item, found)
     else:
         found.sort(name, value)
+
+
+def _opaque(name: str, kind: str) -> npt.NDArray[Any]:
+    """An object of version 7.3 as SciPy returns those of version 5."""
+    found = np.empty(1, dtype=[(key, object) for key in OBJECT])
+    found[0] = name, "MCOS", kind, None
+    return found
+
+
+def _which(name: str, kind: str) -> str:
+    """What to do with an object of MATLAB, whose numbers the file keeps in a form of its own."""
+    way = next((words for end, words in OBJECTS.items() if kind.endswith(end)), "")
+    save = way.format(name) if way else "as arrays"
+    return f"{AN_OBJECT} ({kind}), which MATLAB alone reads: save its numbers, {save}"
 
 
 def _labelled(name: str, value: npt.NDArray[Any], found: Raw) -> bool:

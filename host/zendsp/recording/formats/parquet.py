@@ -34,8 +34,8 @@ def write(recording: Recording, metadata: str, path: Path) -> None:
 
 
 def read(path: Path) -> Raw:
-    """Read any Parquet file; null becomes NaN, lists of equal length become vectors, time
-    stamps become seconds since the first.
+    """Read any Parquet file; null becomes NaN, lists of equal length become vectors, durations
+    become seconds, time stamps seconds since the first.
     """
     pyarrow = _pyarrow()
 
@@ -54,6 +54,9 @@ def read(path: Path) -> Raw:
                 columns[name] = np.array(column.to_pylist(), dtype=np.float64)
             elif pyarrow.types.is_boolean(column.type) or _is_number(column.type):
                 columns[name] = _numbers(column.cast(pyarrow.float64()))
+            elif pyarrow.types.is_duration(column.type):  # a timedelta of pandas
+                ns = column.cast(pyarrow.duration("ns")).cast(pyarrow.int64())
+                columns[name], units[name] = 1e-9 * _numbers(ns.cast(pyarrow.float64())), "s"
             elif pyarrow.types.is_timestamp(column.type) and len(column):
                 stamps = column.cast(pyarrow.timestamp("ns", column.type.tz)).cast(pyarrow.int64())
                 ns = np.array(stamps.to_pylist())
