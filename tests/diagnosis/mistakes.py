@@ -130,6 +130,7 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "sign of the position": (scale(-1.0, "q"), "flipped"),
     "swapped columns": (swap, "swapped"),
     "NaN": (nan, "row 1001"),
+    "nothing but NaN": (scale(np.nan, "q"), "No row is left without: is it the right column"),
     "infinite": (infinite, "row 8: inf"),
     "too large to be squared": (huge, "row 2001: -1e+300"),
     "constant position": (constant, "constant"),

@@ -363,7 +363,7 @@ def test_a_part_accuses_no_column_that_another_part_of_the_recording_shows_to_be
     monkeypatch.setattr(
         plausibility, "_looked",
         lambda part, _: SimpleNamespace(
-            found=[found[part]], slow=None, body=None, u=np.ones((1, 1))
+            found=[found[part]], slow=None, body=None, u=np.ones((1, 1)), y=np.ones((1, 1))
         ),
     )  # fmt: skip
     for name in ("check_order", "is_carried", "is_tool", "_clipped", "_undo", "_mistakes"):

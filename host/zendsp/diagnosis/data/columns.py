@@ -59,10 +59,15 @@ def refuse_no_number(name: str, what: str, column: str, values: Array) -> None:
     row, k = (int(i[0]) for i in np.nonzero(bad))
     count = int(bad.sum())
     words = "values that are not finite numbers" if count > 1 else "value that is no finite number"
+    what_to_do = (
+        f"Leave the rows out ({cutting(name, '--finite', column, '-o', 'cut.csv')}): a short gap is"
+        " bridged"
+    )
+    if bad.any(axis=1).all():  # no row would be left
+        what_to_do = "No row is left without: is it the right column of the model's [columns]?"
     raise RecordingError(
         f"{name}: {what} has {count} {words} below {LARGEST:g} (first in row {row + 1}:"
-        f" {values[row, k]:g}). Leave the rows out"
-        f" ({cutting(name, '--finite', column, '-o', 'cut.csv')}): a short gap is bridged"
+        f" {values[row, k]:g}). {what_to_do}"
     )
 
 
