@@ -211,6 +211,16 @@ class _Ended:
     why: str = ""
 
 
+_running: set[int] = set()  # sessions
+
+
+def end_compilers() -> None:
+    """End the compilers that run, for a process that ends without waiting for its threads."""
+    for session in list(_running):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(session, signal.SIGKILL)
+
+
 def _run(
     command: Sequence[str], cwd: Path, environment: Mapping[str, str], timeout_s: float
 ) -> _Ended:
@@ -227,6 +237,7 @@ def _run(
         stderr=subprocess.PIPE, start_new_session=True,
     ) as process:
         assert process.stderr is not None
+        _running.add(process.pid)
         try:
             while not why:
                 ready = select.select([process.stderr], [], [], _LOOK_S)[0]
@@ -257,6 +268,7 @@ def _run(
                 except subprocess.TimeoutExpired:
                     why = too_long
         finally:
+            _running.discard(process.pid)
             # the leader is not yet waited for or just was: its group is still its own
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, signal.SIGKILL)

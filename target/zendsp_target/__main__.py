@@ -23,6 +23,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NoReturn
 
+from zendsp_isr.compiler import end_compilers
 from zendsp_isr.parts import machine_title
 from zendsp_protocol.errors import ZendspError
 from zendsp_protocol.files_left import need_files
@@ -301,6 +302,7 @@ def leave(status: int) -> NoReturn:
     A thread that returns from Zenoh's compiled code during that shutdown would abort the process
     ("exception not rethrown"), and a clean end would look like a crash.
     """
+    end_compilers()  # of a thread that waits for one
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)

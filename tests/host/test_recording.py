@@ -86,6 +86,19 @@ def test_a_recording_also_reads_as_a_plain_table(
 
 
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
+def test_an_element_beside_its_vector_and_the_time_as_a_signal_come_back(
+    tmp_path: Path, suffix: str
+) -> None:
+    """As CSV such a recording was written, and then refused: "names column 'q[1]' twice"."""
+    with local("imi_planar", clock="fast") as target:
+        target.download("pd.c")
+        run = target.acquire(["t", "q", "q[1]"], seconds=0.05, start=True)
+    back = Recording.load(run.save(tmp_path / f"run{suffix}"))
+    assert back.names == ("t", "q", "q[1]") and np.array_equal(back.data, run.data)
+    assert np.array_equal(back["q[1]"], back["q"][:, 1])
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
 def test_as_a_table_every_format_knows_its_units(tmp_path: Path, suffix: str) -> None:
     degrees = np.linspace(0.0, 90.0, 50).reshape(25, 2)
     run = Recording.from_columns({"q": degrees}, sample_time=0.01, units={"q": "deg"})

@@ -8,10 +8,12 @@ import os
 import resource
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from zendsp_isr import build, compiler, sources
 from zendsp_isr.confine import landlock_version
@@ -53,6 +55,33 @@ def test_a_bomb_of_macros_ends_at_its_time_with_all_that_it_started() -> None:
     assert not result.ok
     here = {p.parent for p in Path("/proc").glob("[0-9]*/cmdline") if _is_compiling(p, name)}
     assert here == set()
+
+
+def test_no_compiler_outlives_a_target_that_ends(tmp_path: Path) -> None:
+    """Two of 1.3 GB each computed on, for up to 90 s, when a target had ended."""
+    double = "".join(f"#define A{i + 1} {f'A{i} ' * 8}\n" for i in range(12))
+    name = f"left_{os.getpid()}.c"
+    (tmp_path / name).write_text(HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n")
+    code = (
+        "import sys, threading\nfrom pathlib import Path\n"
+        "from zendsp_target.__main__ import leave\n"
+        "from zendsp_target.runtime.compile_service import compile_program\n"
+        f"sources = {{{name!r}: Path({name!r}).read_text()}}\n"
+        "threading.Thread(target=compile_program, args=[sources], daemon=True).start()\n"
+        "sys.stdin.read()\nleave(0)"
+    )
+
+    def compiling() -> list[Path]:
+        return [p for p in Path("/proc").glob("[0-9]*/cmdline") if _is_compiling(p, name)]
+
+    with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdin=subprocess.PIPE) as it:
+        until(lambda: bool(compiling()), "it compiles", compiling)
+        assert it.stdin is not None
+        it.stdin.close()
+        assert it.wait(10.0) == 0
+        ended = time.monotonic()
+    until(lambda: not compiling(), "none is left", compiling)
+    assert time.monotonic() - ended < 2.0, "it ended by itself, at its limit"
 
 
 @pytest.mark.parametrize(

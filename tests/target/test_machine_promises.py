@@ -33,6 +33,8 @@ JOINT = "machine_joint *j = &info->joint[0]; "
         ("info->stop_level = 2;", "stop_level is 0 or 1, not 2"),
         ("info->dins = 33;", "33 dins and 0 douts: 0 to 32 are possible"),
         ("info->joints = 9;", "1 to 8 joints"),
+        ("info->joints = 0;", "1 to 8 joints"),
+        ("info->adcs = -1;", "0 to 8 adcs are possible, not 1 and -1"),
     ],
 )
 def test_a_machine_that_cannot_be_as_it_says_is_refused_with_the_field(
@@ -55,12 +57,15 @@ def test_a_machine_without_limits_of_position_is_not_refused(
     make_runtime(PROGRAM, str(machine), clock="real")
 
 
-def test_a_refused_description_leaves_the_machine_safe(make_runtime: Make, tmp_path: Path) -> None:
+@pytest.mark.parametrize("wrong", [JOINT + "j->counts_per_unit = 0.0;", "info->joints = 0;"])
+def test_a_refused_description_leaves_the_machine_safe(
+    make_runtime: Make, tmp_path: Path, wrong: str
+) -> None:
     """Its driver works: only what it says of itself is wrong, so that safe() is still called."""
     machine, said = tmp_path / "axis.c", tmp_path / "safe"
     machine.write_text(
         driver(
-            safe=f'fclose(fopen("{said}", "w"));', opened=JOINT + "j->counts_per_unit = 0.0;"
+            safe=f'fclose(fopen("{said}", "w"));', opened=wrong
         )
     )
     with pytest.raises(ZendspError) as refused:

@@ -84,9 +84,6 @@ static int open_machine(runner *r) {
     const double period = 1.0 / c->rate_hz;
     if (machine->open(handle, c->machine_config, period, &c->info, why, sizeof why) != 0)
         return fail(c, "machine", why[0] ? why : "open failed");
-    if (c->info.joints < 1 || c->info.joints > MACHINE_JOINTS || c->info.adcs < 0 ||
-        c->info.adcs > MACHINE_ADCS)
-        return fail(c, "machine", "machine_info: 1 to 8 joints and 0 to 8 adcs are possible");
     if ((machine->step != NULL) != (c->info.simulated != 0))
         return fail(c, "machine",
                     "a simulated machine has step(), hardware has none; machine_info.simulated"

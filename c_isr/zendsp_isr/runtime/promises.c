@@ -29,6 +29,10 @@ static const char *of_joint(const machine_joint *j) {
 }
 
 int promises_check(const machine_info *info, char *why, size_t size) {
+    if (info->joints < 1 || info->joints > MACHINE_JOINTS || info->adcs < 0 ||
+        info->adcs > MACHINE_ADCS)
+        return snprintf(why, size, "machine_info: 1 to %d joints and 0 to %d adcs are possible,"
+                        " not %d and %d", MACHINE_JOINTS, MACHINE_ADCS, info->joints, info->adcs);
     if (info->dins < 0 || info->dins > 32 || info->douts < 0 || info->douts > 32)
         return snprintf(why, size, "machine_info: %d dins and %d douts: 0 to 32 are possible",
                         info->dins, info->douts);

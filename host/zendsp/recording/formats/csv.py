@@ -58,15 +58,19 @@ UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def write(recording: Recording, metadata: str, path: Path) -> None:
-    """Write ``recording`` with 17 significant digits, so that reading returns the same numbers."""
-    units = ["s", *recording.column_units]
-    header = [
-        f"{n} [{u}]" if u else n for n, u in zip(["t", *recording.columns], units, strict=True)
-    ]
+    """Write ``recording`` with 17 significant digits, so that reading returns the same numbers.
+    Columns of one name, as those of ``q`` and of ``q[1]`` beside it, are one; the signal ``t`` is
+    the time.
+    """
+    units = dict(zip(recording.columns, recording.column_units, strict=True))
+    units.pop("t", "")
+    header = ["t [s]", *(f"{name} [{unit}]" if unit else name for name, unit in units.items())]
+    once = [recording.columns.index(name) for name in units]
     with path.open("w", newline="") as file:
         file.write(f"{_title(recording)}\n")
         csv.writer(file, lineterminator="\n").writerow(header)
-        np.savetxt(file, np.column_stack([recording.t, recording.data]), fmt="%s", delimiter=",")
+        numbers = np.column_stack([recording.t, recording.data[:, once]])
+        np.savetxt(file, numbers, fmt="%s", delimiter=",")
         file.write(f"{MARK}{metadata}\n")
 
 
