@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import signal
+import subprocess
+import sys
 import time
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import reality
+import tomli_w
 from click.testing import CliRunner
 from reality import RATE
 
 from zendsp.cli import cli
 from zendsp.cli.steps import in_steps
-from zendsp.diagnosis import diagnose
+from zendsp.diagnosis import diagnose, engine
 from zendsp.diagnosis.explain import joints
 from zendsp.diagnosis.progress import Progress, Step
 
@@ -155,3 +162,34 @@ def test_a_report_whose_pictures_are_interrupted_is_named(
     assert done.exit_code != 0
     said = f"{out / 'report.json'} is written, without pictures; it was at 6/6"
     assert said in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_diagnosis_that_is_ended_by_a_signal_says_so(tmp_path: Path, number: int) -> None:
+    """A scheduler's SIGTERM, or a terminal that was closed, had ended it without a word."""
+    run, model = _two_joints(tmp_path)
+    (tmp_path / "m.toml").write_text(tomli_w.dumps(model))
+    words = ["zendsp", "diagnose", str(run), "--model", "m.toml", "--jobs", "2"]
+    code = f"import sys; sys.argv = {words}; from zendsp.cli import main; main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+        env={**os.environ, "ZENDSP_PROGRESS": "lines"},
+    ) as process:  # fmt: skip
+        assert process.stderr is not None
+        next(line for line in process.stderr if line.startswith("3/6"))
+        process.send_signal(number)
+        said = process.stderr.read()
+    assert process.returncode == 130 and said.endswith("interrupted\n"), said
+    assert "it was at 3/6" in said and "Traceback" not in said
+
+
+def test_a_recording_that_takes_long_is_told_before_the_search() -> None:
+    run: Any = SimpleNamespace(
+        time=np.arange(4), sample_time=600.0, position=np.zeros((4, 1)), whole="", name="long.csv"
+    )
+    with pytest.warns(UserWarning, match=r"2400 s .* 'zendsp cut long.csv --to 300 -o part.csv'"):
+        engine._warn_of_length([run])
+    run.sample_time = 400.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        engine._warn_of_length([run])

@@ -14,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import click
@@ -21,10 +22,12 @@ import pytest
 from waiting import PATIENCE_S, until
 
 import zendsp
-from zendsp.cli import main
+from zendsp.cli import info, main
 from zendsp.cli.common import parse_value
 from zendsp.errors import Tripped
 from zendsp.link import Target
+from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState
 
 
 def zendsp_(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -403,3 +406,14 @@ def test_set_says_that_the_new_value_has_tripped_the_machine() -> None:
         said = zendsp_("set", "wrong=true", "-t", target.name)
     assert "wrong set at sample" in said.stdout
     assert "tripped" in said.stderr and "computed nan" in said.stderr
+
+
+@pytest.mark.parametrize(("overruns", "missed", "told"), [(0, 0, ""), (9, 0, ""), (40, 90, "late")])
+def test_info_tells_samples_that_are_late(overruns: int, missed: int, told: str) -> None:
+    """At a mean lateness of 24 periods it had said "running", and nothing more."""
+    timing = m.Timing(ticks=1000, overruns=overruns, missed=missed)
+    status = m.Status(state=ProgramState.RUNNING, timing=timing)
+    who: Any = SimpleNamespace(name="imi", hostname="lab", pid=1, versions={})
+    said = info._text(who, status, None, {}, {}, (), ())
+    late = "late       40 of 1000 samples took longer than the period, 90 were left out"
+    assert (late in said) is bool(told) and ("\nlate" in said) is bool(told)

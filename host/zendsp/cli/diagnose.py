@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import check_writable, out_option
+from zendsp.cli.common import check_writable, end_softly, out_option
 from zendsp.cli.completing import models
 from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError
@@ -90,6 +90,7 @@ def command(
 
     Example:  zendsp diagnose run1.csv run2.csv --model bench.toml --heldout test.csv --out report
     """
+    end_softly()
     if not train:
         raise click.UsageError(
             "which recording? For example: zendsp diagnose run.mat --model arm.toml"

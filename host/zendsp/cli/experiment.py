@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import check_writable, json_option, out_option, wrapped
+from zendsp.cli.common import check_writable, end_softly, json_option, out_option, wrapped
 from zendsp.cli.completing import experiments
 from zendsp_protocol.texts import counted
 
@@ -62,6 +62,7 @@ def command(
         _list()
         return
     check_writable(out)
+    end_softly()
     names = [n for n, e in EXPERIMENTS.items() if e.machine] if name == "all" else [name]
     takes = fit_model(names, into) if into is not None else []  # before the machine moves
     opened = None

@@ -16,6 +16,8 @@ from zendsp_protocol.states import ProgramState, VariableKind
 from zendsp_protocol.values import Value
 from zendsp_protocol.views import short, text_table
 
+LATE = 100  # one sample late or left out in so many is told
+
 
 @click.command("info")
 @click.argument("name", default="", metavar="[NAME]", shell_complete=targets)
@@ -101,6 +103,11 @@ def _text(
         f"program    {_program(status.program, sources)}",
         f"hosts      {', '.join(status.hosts) or 'none'}",
     ]
+    t = status.timing
+    if (t.overruns + t.missed) * LATE > t.ticks:
+        left_out = f", {t.missed} were left out" if t.missed else ""
+        took = f"{t.overruns} of {t.ticks} samples took longer than the period"
+        lines.append(f"late       {took}{left_out}: 'zendsp stats' has the times")
     if status.crash:
         lines.append(f"crash      {status.crash}")
     elif status.unsafe:

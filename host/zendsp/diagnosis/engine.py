@@ -5,6 +5,7 @@ findings, and report what remains.
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,6 +15,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_motion
+from zendsp.diagnosis.data.columns import cutting
 from zendsp.diagnosis.data.prepare import of_one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
@@ -55,6 +57,8 @@ from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording, Table
 
+# s times joints: 200 s of one joint took 19 s of processor time, 1000 s 45 s, 10 000 s over 280 s
+LONG_S = 2000.0
 ENDED = (
     "Ctrl-C ended the search: this is what was found until then; other explanations, what could"
     " have been seen and the next recording were not asked for"
@@ -157,6 +161,18 @@ def _diagnose(
         homed, sentence = _homed(sources, given, other, jobs, tell)
     d = _diagnose(sources, homed, seed, jobs, tell, so_far, homings + 1)
     return replace(d, zeros=(sentence, *d.zeros), seconds=time.perf_counter() - begin)
+
+
+def _warn_of_length(signals: Sequence[Signals]) -> None:
+    """Say before the search that it will take long, and what is sooner answered."""
+    seconds = sum(len(s.time) * s.sample_time for s in signals)
+    if seconds * signals[0].position.shape[1] > LONG_S:
+        name = signals[0].whole or signals[0].name
+        warnings.warn(
+            f"{seconds:.0f} s are to be searched, which takes many minutes. A part is sooner"
+            f" answered: {cutting(name, '--to', '300', '-o', 'part.csv')}",
+            stacklevel=2,
+        )
 
 
 def _with_zeros_given(
@@ -341,6 +357,7 @@ def _ready(
     """
     tell(Step.READING.says("reading the recordings"))
     fit_signals, held, notes = read_divided(recordings, heldout, given)
+    _warn_of_length([*fit_signals, *held])
     choose_signals, test_signals, how = halves(held)
     tell(Step.READING.says("smoothing the motion"))
     read = (fit_signals, choose_signals, test_signals)

@@ -276,7 +276,8 @@ _inherited: list[tuple[Parts, Model, Progress]] = []
 
 def _inherit(parent: int, parts: Parts, beneath: Model, tell: Progress) -> None:
     die_with(parent)  # which could not end its children if killed
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the parent handles Ctrl-C
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the parent handles them
+        signal.signal(number, signal.SIG_DFL)
     _inherited[:] = [(parts, beneath, tell)]
 
 

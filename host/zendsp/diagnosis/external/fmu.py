@@ -282,6 +282,7 @@ def _serve(pipe: Any, other: Any, fmu: Fmu, folder: str) -> None:
     other.close()
     faulthandler.disable()  # its crash becomes one sentence
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the diagnosis handles Ctrl-C
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # by which it ends this process
     said = os.open(str(Path(folder) / LOG), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(said, 1)
     os.dup2(said, 2)
