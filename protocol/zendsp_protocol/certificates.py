@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import socket
 import ssl
+import tempfile
 import time
 from typing import Any
+
+LOOK_S = 1.0  # for a target to show its certificate
 
 
 def decoded(path: str) -> dict[str, Any]:
@@ -54,3 +59,24 @@ def unfit(certificate: str, key: str) -> bool:
     except (OSError, ssl.SSLError):
         return True
     return False
+
+
+def shown_to_have_ended(endpoint: str) -> str:
+    """Return the day on which the certificate that a ``tls/host:port`` shows ended; empty where it
+    has not, or nothing is shown.
+    """
+    found = re.fullmatch(r"tls/\[?([^\]]+?)\]?:(\d+)([?#].*)?", endpoint)
+    if found is None:
+        return ""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE  # it is looked at only
+    try:
+        with (
+            socket.create_connection((found[1], int(found[2])), LOOK_S) as plain,
+            context.wrap_socket(plain) as secured, tempfile.NamedTemporaryFile("w") as file,
+        ):  # fmt: skip
+            file.write(ssl.DER_cert_to_PEM_cert(secured.getpeercert(binary_form=True) or b""))
+            file.flush()
+            return ended(file.name)
+    except (OSError, OverflowError):
+        return ""

@@ -196,6 +196,19 @@ def test_a_certificate_that_does_not_fit_opens_nothing(
             enter(monitor, lab, unfit, 1.5)
 
 
+def test_a_certificate_of_the_target_that_ended_while_it_ran_is_named(
+    lab: Lab, start: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A host had read only that nothing answers, or refuses."""
+    target, anna = lab.add_target("imi"), lab.add_user("anna", "download")
+    _end(lab, target)
+    for check in ("ended", "begins"):  # it had not when the target began
+        monkeypatch.setattr(f"zendsp_target.access.admission.{check}", lambda _: "")
+    monitor = start(lab, target)
+    with pytest.raises(LinkError, match=r"that it shows ended on 20.*zendsp keys target NAME"):
+        enter(monitor, lab, anna, 1.5)
+
+
 def _end(lab: Lab, holder: Holder, later: timedelta = timedelta()) -> None:
     """Sign a certificate again, so that its two days ended an hour ago, or later."""
     from cryptography.hazmat.primitives import hashes, serialization

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import zenoh
 
 from zendsp.errors import LinkError
-from zendsp_protocol.certificates import begins, decoded, ended, unfit
+from zendsp_protocol.certificates import begins, decoded, ended, shown_to_have_ended, unfit
 
 LEASE_MS = 1000  # a dead target is noticed within this time; the default of 10 s would hide it
 # protocol/host:port, or what Zenoh has besides: protocol/path
@@ -159,4 +159,10 @@ def doubts(credentials: Credentials, endpoints: Sequence[str]) -> str:
             return f"the {what} {file} begins on {day} only: set this computer's clock"
     if credentials.certificate and unfit(credentials.certificate, credentials.key):
         return f"the key {credentials.key} does not belong to {credentials.certificate}"
+    for endpoint in endpoints:
+        if day := shown_to_have_ended(endpoint):
+            return (
+                f"the certificate that it shows ended on {day}: 'zendsp keys target NAME' makes"
+                " another there, with which the target is to be started again"
+            )
     return ""
