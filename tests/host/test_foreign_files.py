@@ -293,3 +293,33 @@ def test_several_signals_of_a_scope_of_simulink_are_named_by_their_labels(tmp_pa
         table = read_table(tmp_path / "scope.mat")
         assert set(table.columns) == {"Scope.time", *names}
     assert np.array_equal(table["Scope.signals(2).values"], rows[:, 0] + 1)
+
+
+@pytest.mark.parametrize("fields", [("Time", "Data"), ("time", "signals")])
+def test_structures_of_two_rates_are_held_on_the_clock_of_the_positions(
+    tmp_path: Path, fields: tuple[str, str]
+) -> None:
+    """They had been refused: "columns differ in length"."""
+    time, data = fields
+    fast = np.arange(0.0, 4.0, 0.001)
+    slow, u = fast[::5], np.sin(fast)
+    both = np.column_stack([np.cos(slow), np.sin(slow)])
+
+    def log(t: Any, values: Any) -> dict[str, Any]:
+        held = {"values": values} if data == "signals" else values
+        return {time: t[:, np.newaxis], data: held}
+
+    scipy.io.savemat(
+        tmp_path / "run.mat", {"pos": log(slow, both), "cur": log(fast, u[:, np.newaxis])}
+    )
+    table = read_table(tmp_path / "run.mat")
+    end = ".values" if data == "signals" else ""
+    assert np.allclose(table["t"], slow) and np.allclose(table[f"pos.{data}{end}"], both)
+    assert np.allclose(table[f"cur.{data}{end}"], u[::5])
+    assert "the newest value is held of" in "".join(table.notes)
+    scipy.io.savemat(
+        tmp_path / "run.mat",
+        {"pos": log(slow, both), "cur": log(fast, u[:, np.newaxis]), "other": np.ones(7)},
+    )
+    with pytest.raises(RecordingError, match="columns differ in length"):
+        read_table(tmp_path / "run.mat")

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import posixpath
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +23,10 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.extras import need
+from zendsp.recording.formats.clocks import Series, on_one_clock
 from zendsp.recording.formats.hdf5 import ELSEWHERE, leads_out
 from zendsp.recording.formats.raw import Raw, check_room
+from zendsp.recording.names import FloatArray
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
@@ -41,6 +44,7 @@ OBJECTS = {  # how its numbers are had in MATLAB, by how the name of its class e
     "table": "by writetable({0}, 'run.csv')",
     "Dataset": "of each signal: q = {0}.get(1).Values.Data, with t = {0}.get(1).Values.Time",
 }
+CLOCK = re.compile(r"\.(time|t)$", re.IGNORECASE)  # of a structure: Simulink's and timeseries'
 SERIES = "values"  # the field of Simulink's structures that holds a signal; others say how it looks
 
 
@@ -83,8 +87,37 @@ def read(path: Path) -> Raw:
     found = Raw({})
     for name, value in contents.items():
         _walk(name, value, found)
+    if series := _series(found):
+        found = on_one_clock(path, series, found.refused, prefix=False)
     objects = [name for name, why in found.refused.items() if why.startswith(AN_OBJECT)]
-    return replace(found, notes=tuple(f"{n}: left out: it {found.refused[n]}" for n in objects))
+    left_out = tuple(f"{n}: left out: it {found.refused[n]}" for n in objects)
+    return replace(found, notes=found.notes + left_out)
+
+
+def _series(found: Raw) -> list[Series]:
+    """The structures that have each a time of their own, where their rows differ in number: logs of
+    several rates. Empty where a column is in none of them.
+    """
+    columns = {name: _upright(values) for name, values in found.columns.items()}
+    times = {name for name in columns if CLOCK.search(name) and columns[name].ndim == 1}
+    if len({len(values) for values in columns.values()}) < 2 or len(times) < 2:
+        return []
+    clocks = {CLOCK.sub(".", name): Series(name, columns[name], {}) for name in sorted(times)}
+    for name in columns.keys() - times:
+        of = max((p for p in clocks if name.startswith(p)), key=len, default="")
+        if not of or len(columns[name]) != len(clocks[of].t):
+            return []
+        parts = columns[name].reshape(len(columns[name]), -1).T
+        names = [name] if len(parts) == 1 else [f"{name}[{k}]" for k in range(len(parts))]
+        clocks[of].columns.update(zip(names, parts, strict=True))
+    return list(clocks.values())
+
+
+def _upright(values: FloatArray) -> FloatArray:
+    """A vector of MATLAB with one dimension, a matrix with samples by rows."""
+    if values.ndim == 2 and 1 in values.shape:
+        return values.reshape(-1)
+    return values.T if values.ndim == 2 and values.shape[1] > values.shape[0] else values
 
 
 def _read_v5(path: Path) -> dict[str, Any]:
