@@ -16,6 +16,7 @@ from acceptance import accepted
 from mistakes import Columns
 from reality import FAST, KNOWN
 
+from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
@@ -122,6 +123,16 @@ def test_recordings_whose_zeros_differ_are_refused_with_what_to_add(
     added = float(text.partition("Add ")[2].partition(" to the column")[0])
     assert "run2.csv: by gravity" in text
     assert math.remainder(added + zero, 2 * math.pi) == pytest.approx(0.0, abs=0.05), text
+
+
+def test_a_weight_of_the_other_sign_says_that_zero_is_upright(
+    pendulum: tuple[Callable[..., Path], Path]
+) -> None:
+    """It had been "an unbalance, or the given number is wrong", moved by -200 %."""
+    write, model = pendulum
+    found = diagnose([write(1, math.pi)], model, jobs=1).findings
+    said = [f.sentence for f in found if f.effect == "gravity"]
+    assert said and "0 is where it stands upright ([sensor] offset)" in said[0], found
 
 
 def test_parts_of_one_recording_have_one_zero(
