@@ -242,6 +242,29 @@ def test_a_disturbance_is_no_concealed_effect_and_ends_no_story() -> None:
     assert not judged.named and judged.extra == (finding,)
 
 
+@pytest.mark.parametrize(
+    ("effect", "verdict", "right"),
+    [("unknown", "missing", True), ("", "unexplained", True), ("", "complete", False),
+     ("stiffness", "missing", False)],
+)  # fmt: skip
+def test_a_concealed_torque_without_a_law_is_found_where_none_is_claimed(
+    effect: str, verdict: str, right: bool
+) -> None:
+    """The story said of 'depends on the position, no law': not found."""
+    given = nominal_model(get_stage("pendulum"), (651.9,), 0.001)
+    findings = (Finding(effect, 1, {}, 0.93, 0.5, (), (), ""),) if effect else ()
+    diagnosis = cast(
+        Diagnosis,
+        SimpleNamespace(
+            findings=findings, verdict=verdict, given=given, calibrated=given, improved=given
+        ),
+    )
+    truth: TrueEffect = {"effect": "foreign", "joint": 1, "parameters": {}}
+    judged = judge(diagnosis, [truth])
+    assert judged.named is right and not judged.exact
+    assert bool(judged.extra) is (effect == "stiffness")
+
+
 def test_what_was_found_is_told_with_what_it_cannot_be_told_from() -> None:
     """The picture of a true story said: concealed coulomb asymmetry, found torque offset."""
     finding = Finding("torque_offset", 1, {}, 0.97, 0.5, ("coulomb_asymmetry",), (), "")

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis import Diagnosis, Finding
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.link.concealed import TrueEffect, TrueValue
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import Model
@@ -26,6 +27,7 @@ SURE = 0.9  # confidence at which a wrong claim is no longer a doubt
 PART = 0.05  # of the mismatch: what a wrong claim may explain at most
 LEAST_FALL = 0.9  # of the error before: what counts as fallen
 MOVED = 0.05  # of a number: a change from which it is another one
+FOREIGN = "foreign"  # a concealed torque without a law in the library
 CLOSE = 0.1  # of the size of an effect: what counts as the same size
 
 
@@ -127,8 +129,10 @@ def compare_tracking(recording: Recording, tick: int, first_s: float, last_s: fl
 
 def matches(finding: Finding, truth: TrueEffect) -> bool:
     """Whether a finding is a concealed effect, or one of the effects that the recordings cannot
-    tell from it is.
+    tell from it is; of a torque without a law, that none is claimed at its joint.
     """
+    if truth["effect"] == FOREIGN:
+        return finding.effect == "unknown" and finding.joint == truth["joint"]
     if of_body(finding) and truth["effect"] in finding.indistinguishable:
         return True  # the same on the next link
     return finding.joint == truth["joint"] and truth["effect"] in (
@@ -266,8 +270,11 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
         else next((r for r in fitted if r.holds(truth)), None)
         for truth in effects
     ]
+    lawless = diagnosis.verdict == Verdict.UNEXPLAINED
     named = all(
-        took is not None or any(matches(f, truth) for f in found)
+        took is not None
+        or any(matches(f, truth) for f in found)
+        or (lawless and truth["effect"] == FOREIGN)
         for truth, took in zip(effects, taken, strict=True)
     )
     pairs = [
@@ -296,7 +303,10 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
             rows.append((took.name, took.value, took.std, true, took.unit, took.had))
     exact = named and len(pairs) + len(by_calibration) == len(effects)
     return Judged(
-        named and bool(found or by_calibration or not effects), exact, by_calibration, extra,
+        named and bool(found or by_calibration or lawless or not effects),
+        exact,
+        by_calibration,
+        extra,
         tuple(rows),
     )
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from zendsp.demo.controller import BEARS, bearing, not_cancelled, plan_update
 from zendsp.demo.evidence import (
+    FOREIGN,
     Hidden,
     Judged,
     Refit,
@@ -208,16 +209,16 @@ def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrato
         )
     held = told.diagnosis.heldout
     better = held.calibrated < held.given if told.calibrated else held.improved < held.calibrated
+    # a torque without a law may be beyond what a model file can say
+    lawful = bool(told.refits) or any(f.effect != "unknown" for f in told.diagnosis.findings)
     bent = " (bent by what it lacks)" if held.calibrated > held.given else ""
     narrator.say(
         f"on the held-out recording the error of free simulation is {1e3 * held.given:.3g} mrad"
         f" given, {1e3 * held.calibrated:.3g} calibrated{bent}, {1e3 * held.improved:.3g}"
         f" improved (noise floor {1e3 * told.diagnosis.noise_floor:.2g})",
-        good=better,
+        good=better if lawful or better else None,
     )
-    if not told.diagnosis.findings and not told.refits:
-        told.failures.append(f"nothing was named: the verdict is {told.diagnosis.verdict}")
-    elif not better:
+    if lawful and not better:
         told.failures.append("the fitted model is not better on the held-out recording")
     return told
 
@@ -354,11 +355,14 @@ def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
         narrator.say("found by calibration: only the number of a law was wrong", good=True)
     elif judged.exact:
         narrator.say("named right", good=True)
+    elif judged.named and any(effect["effect"] == FOREIGN for effect in concealed):
+        narrator.say("it has no law here, and none was claimed for it", good=True)
     elif judged.named:
         narrator.say("among those that the recordings cannot tell apart", good=True)
     else:
         narrator.say(f"not found: the diagnosis named {told.found}", good=False)
-        told.failures.append("the concealed effect was not named")
+        verdict = told.diagnosis.verdict
+        told.failures.append(f"the concealed effect was not named: the verdict is {verdict}")
     for row in judged.parameters:
         narrator.say(compared(*row))
     _named_beside(machine.stage, judged, told, narrator)
