@@ -138,6 +138,8 @@ def _section(effect: Effect) -> str:
         f"| {p.name} | {_unit(p)} | {_range(p)} | {_default(p)} | {_cell(p.meaning)} |\n"
         for p in effect.parameters
     )
+    own = effect.name in effect.needs
+    says = "Means, where a model has it; no search names it" if own else "Says"
     words = [
         (
             "\n"
@@ -149,7 +151,7 @@ def _section(effect: Effect) -> str:
             "|---|---|---|---|---|\n"
             f"{rows}\n"
         ),
-        f"- *Says:* {effect.sentence}\n- *Confirm by:* {effect.experiment}\n",
+        f"- *{says}:* {effect.sentence}\n- *Confirm by:* {effect.experiment}\n",
     ]
     if effect.rivals:
         words.append(f"- *Often mistaken for:* {', '.join(effect.rivals)}.\n")
