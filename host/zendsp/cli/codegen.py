@@ -8,6 +8,7 @@ import click
 
 from zendsp.cli.common import out_option
 from zendsp.errors import ModelError
+from zendsp.whole_file import write_whole
 from zendsp_protocol.texts import shown
 
 
@@ -52,7 +53,7 @@ def command(model: Path, out: Path | None, effects_only: bool, sign_speed: float
     text = text.replace(f'#include "{made}"', f'#include "{shown(out.name, lines=False)}"', 1)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text, encoding="utf-8")
+        write_whole(out, text)
     except OSError as error:
         raise ModelError(f"{out}: cannot be written ({error.strerror})") from error
     click.echo(f"wrote {out}")

@@ -11,6 +11,7 @@ import click
 
 from zendsp.cli.common import emit, json_option, out_option
 from zendsp.errors import ModelError
+from zendsp.whole_file import write_whole
 
 if TYPE_CHECKING:
     from zendsp.physics.model import Model
@@ -57,7 +58,7 @@ def new(
     parse_model(tomllib.loads(draft.text), str(out))  # what is written can be read
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(draft.text, encoding="utf-8")
+        write_whole(out, draft.text)
     except OSError as error:
         raise ModelError(f"{out}: cannot be written ({error.strerror})") from error
     lines = [

@@ -14,6 +14,7 @@ from zendsp.physics.effects import Effect, get_effect
 from zendsp.physics.model import Model, Quantity
 from zendsp.reference import load_machine
 from zendsp.reference.machine import MACHINES
+from zendsp.whole_file import write_whole
 from zendsp_protocol.texts import counted
 
 FRICTION = ("dry_friction", "fluid_friction")  # mechanisms
@@ -132,9 +133,7 @@ def put_into(result: Result, path: str | Path) -> list[str]:
     text = model_text(replace(model, terms=(*kept, *found.terms), mechanism=mechanism))
     if model.file and not Path(model.file).is_absolute():
         text = text.replace(str((model.folder / model.file).resolve()), model.file)
-    scratch = Path(path).with_suffix(".toml.new")
-    scratch.write_text(text, encoding="utf-8")
-    scratch.replace(path)
+    write_whole(Path(path), text)
     return changes
 
 

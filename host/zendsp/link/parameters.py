@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from zendsp.errors import VariableError
 from zendsp.link.requests import Part, Requests
 from zendsp.link.variables import Reading, Variables, plain
+from zendsp.whole_file import write_whole
 from zendsp_protocol import messages as m
 from zendsp_protocol import written
 from zendsp_protocol.lazily import Lazily
@@ -85,7 +86,7 @@ class ParameterSet:
         text = json.dumps(body | {"values": dict(self.values)}, indent=2) + "\n"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
+            write_whole(path, text)
         except OSError as error:
             raise VariableError(f"{path}: cannot be written ({error.strerror})") from error
         return path

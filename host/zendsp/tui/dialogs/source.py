@@ -15,6 +15,7 @@ from textual.widgets import Button, OptionList, Static, TextArea
 from textual.widgets.option_list import Option
 
 from zendsp.tui.dialogs.base import Dialog
+from zendsp.whole_file import write_whole
 from zendsp_protocol.messages import Diagnostic
 from zendsp_protocol.states import Severity
 from zendsp_protocol.texts import placed
@@ -106,7 +107,7 @@ class SourceView(Dialog[bool]):
     def action_save(self) -> bool:
         """Write the file."""
         try:
-            self._path.write_text(self.query_one(TextArea).text)
+            write_whole(self._path, self.query_one(TextArea).text)
         except OSError as error:
             self.query_one("#said", Static).update(f"not saved: {error}")
             return False

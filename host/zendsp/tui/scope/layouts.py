@@ -13,6 +13,7 @@ import msgspec
 from zendsp.errors import ZendspError
 from zendsp.tui.scope.formula import Formula
 from zendsp.tui.scope.settings import LANES, MOST_CHANNELS, VIEWS, Channel, Scale, ScopeSettings
+from zendsp.whole_file import write_whole
 from zendsp_protocol import written
 from zendsp_protocol.spelling import unknown_keys
 
@@ -38,7 +39,7 @@ def save_layout(layout: Layout, path: Path) -> Path:
     body = {"zendsp_layout": FORM, **asdict(layout)}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(body, indent=2) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(body, indent=2) + "\n")
     except OSError as error:
         raise ZendspError(f"{path}: cannot be written ({error.strerror})") from error
     return path
