@@ -101,10 +101,12 @@ class Asked:
         slow: npt.NDArray[np.bool_] = np.abs(qd) < SLIDES * np.std(self.probe.qd, axis=0)
         return slow & (np.array(self.inside.sizes.get(DRY, 0.0)) > 0.0)
 
-    def sliding(self, at: State) -> State:
-        """States in which no joint may stick: slow ones move a little faster, their own way."""
+    def sliding(self, at: State, least: float = SLIDES) -> State:
+        """States in which no joint may stick: slow ones move a little faster, their own way.
+        ``least``: of the speed.
+        """
         rubs = np.array(self.inside.sizes.get(DRY, 0.0)) > 0.0
-        return at.no_slower(rubs * SLIDES * np.std(self.probe.qd, axis=0))
+        return at.no_slower(rubs * least * np.std(self.probe.qd, axis=0))
 
     def accelerations(self, at: State, torque: Array, numbers: Parameters) -> Array:
         """Acceleration in some states under a torque, (n, joints)."""

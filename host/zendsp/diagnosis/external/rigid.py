@@ -36,8 +36,8 @@ Array = npt.NDArray[np.float64]
 PASSED = 0.004
 # rad of the motion's mean frequency between states that splines join: an arm of two joints at 2 Hz
 # then had its torque within 0.03 %
-STATES_APART = 0.25
-STATE_TIMES = (0.005, 0.06)  # s: between them, at least and at most
+STATES_APART = 0.35
+STATE_TIMES = (0.005, 0.09)  # s: between them, at least and at most
 SLOW, FEWER = 0.02, 3  # s for a state of a simulator; one that needs longer is asked at a third
 # of the RMS torque; and of a free number. Torques were linear in both, to all digits that matter
 PUSHED, NUMBER_STEP = 0.5, 1e-3
@@ -49,9 +49,11 @@ STATES_ASKED = 48  # at which a simulator is asked whether it is a rigid body
 # of a joint's torque: the derivatives by the numbers are no longer those. An arm that is linear in
 # its numbers is off by 1e-4, one by masses and lengths that are off by a tenth, by 3e-2
 BENT = 1e-3
+POSES_APART = 0.2  # of the range: joints move by so much between poses that a spline joins
 FAST = 1.0  # of the speed: a joint stops in no answer of two rows, whatever its weight does
 REVERSES = 0.1  # of the speed: slower is a reversal
 NOT_ITS_OWN = 1e-4  # of a joint's torque: a whole number does less, and is of another joint
+SHOW_MASS = 6  # states at which a number is asked whether it is in the mass matrix
 MOVES_MASS = 1e-6  # relative change of the mass matrix by a number that is in it
 
 
@@ -142,12 +144,16 @@ class Called(Asked):
         return self.known[key]
 
     def masses(self, position: Array) -> Array:
-        """Mass matrices at some positions (n, joints), in passing and without rotors: (n, joints,
-        joints).
+        """Mass matrices along some positions (n, joints), in passing and without rotors: (n,
+        joints, joints).
         """
-        still = np.zeros_like(position)
-        at = self.sliding(State(position, still, still))
-        return self._body(at, still, self.numbers())[0] - np.diag(self.inside.rotors(self.joints))
+        rows, steps = np.arange(len(position)), np.abs(np.diff(position, axis=0))
+        few = np.ptp(position, axis=0) / np.maximum(steps.max(axis=0, initial=0.0), 1e-300)
+        poses = np.unique(np.r_[rows[:: max(1, int(POSES_APART * few.min()))], rows[-1]])
+        still = np.zeros_like(position[poses])
+        at = self.sliding(State(position[poses], still, still), FAST)
+        mass, *_ = self._body(at, self.inside.friction(at.qd), self.numbers())
+        return _between(poses, mass, rows) - np.diag(self.inside.rotors(self.joints))
 
     def _along(self, motion: State) -> list[dict[str, Basis]]:
         n, rows = len(motion), np.arange(len(motion))
@@ -160,8 +166,8 @@ class Called(Asked):
             return _between(poses, values, rows)
 
         mass = everywhere(near.mass)
-        torque = everywhere(near.torque - self.inside.friction(near.at.qd))
-        torque = self._torque(motion, torque, mass)
+        rest = everywhere(near.rest - self.inside.friction(near.at.qd))
+        torque = self._torque(motion, _times(mass, motion.qdd) + rest, mass)
         slope = everywhere(np.stack([self._slope(near, j) for j in range(self.joints)], axis=1))
         changes = {}
         for key in self.free:
@@ -258,13 +264,14 @@ class Called(Asked):
         at, torque = near.at, near.torque
         step = NUMBER_STEP * abs(self.about[key])
         numbers = self.numbers(**{key: self.about[key] + step})
+
+        def changed(rows: slice) -> Array:  # what a pushed simulator's speed adds is in both
+            return self._body(at.at(rows), near.before[rows], numbers)[0] - near.first[rows]
+
         if key not in self.in_mass:
-            some = np.unique(np.linspace(0, len(at) - 1, STATES_ASKED).astype(int))
-            change = self._body(at.at(some), near.before[some], numbers)[0] - near.first[some]
-            self.in_mass[key] = bool(np.abs(change).max() > MOVES_MASS * np.abs(near.mass).max())
-        change = np.zeros_like(near.mass)
-        if self.in_mass[key]:  # what a pushed simulator's speed adds is in both
-            change = self._body(at, near.before, numbers)[0] - near.first
+            few = changed(slice(None, None, -(-len(at) // SHOW_MASS)))
+            self.in_mass[key] = bool(np.abs(few).max() > MOVES_MASS * np.abs(near.mass).max())
+        change = changed(slice(None)) if self.in_mass[key] else np.zeros_like(near.mass)
         came = self.accelerations(at, torque, numbers)
         came = self.accelerations(replace(at, qdd=came), torque, numbers)
         rest = torque - _times(near.mass + change, came)

@@ -43,7 +43,9 @@ ANEW_AFTER = 0.02  # s: after which it is started anew from where it is
 NUMBERS_TRIED = 0.1  # of the numbers: whether the torque is linear in them
 # of the speed: slower joints are made faster in states at which a simulator is asked what it is
 MOVES = 0.3
-KEPT_UP = 3  # corrections of a torque, until it keeps up a speed
+STATES_INSIDE = 16  # at which a simulator is asked what is a term of the model
+# corrections of a torque, at most, until it keeps up a speed: until none is more of the torque
+KEPT_UP, KEPT = 3, 1e-6
 # times REVERSES: speeds at which the torque against a joint is asked for, each from the one before;
 # the last two say what friction it is
 AGAINST_AT = 10.0, 2.0, 1.0
@@ -100,7 +102,7 @@ def terms_inside(called: Called) -> Inside:
     joint changes by with the direction, at two low speeds and from these at none; a rotor is what
     numbers say.
     """
-    near = called.near(called.probe)
+    near = called.near(called.probe.at(slice(None, None, STATES_ASKED // STATES_INSIDE)))
     dry, fluid = np.zeros((2, called.joints))
     for j in range(called.joints):
         at = [times * REVERSES * float(np.std(near.at.qd[:, j])) for times in AGAINST_AT]
@@ -151,7 +153,10 @@ def _kept_up(called: Called, near: Near, qd: Array, torque: Array) -> Array:
     at = State(near.at.q, qd, np.zeros_like(qd))
     for _ in range(KEPT_UP):
         came = called.accelerations(at, torque, called.numbers())
-        torque = torque - np.einsum("nij,nj->ni", near.mass, came)
+        lacks = np.einsum("nij,nj->ni", near.mass, came)
+        torque = torque - lacks
+        if np.all(np.abs(lacks) < KEPT * called.torque):
+            break
     return torque
 
 
