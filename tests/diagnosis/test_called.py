@@ -21,7 +21,7 @@ from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pieces import rubs
-from zendsp.diagnosis.decide.result import FitTable, Left
+from zendsp.diagnosis.decide.result import FitTable, Left, Workings
 from zendsp.diagnosis.external.asked import State
 from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.diagnosis.external.inner_body import without_parts
@@ -509,6 +509,7 @@ class Said:
     heldout: FitTable = TABLE
     test: FitTable | None = None
     next_recording: None = None
+    workings: Any = None
 
 
 def said(*effects: str, left: float = 0.04) -> Any:
@@ -560,3 +561,24 @@ def test_laws_beside_parts_of_a_body_are_claimed_only_where_they_leave_nothing()
     here, there = both.discrepancy
     right = replace(both, discrepancy=(here, replace(there, interval=(0.0, 1e-4))))
     assert without_parts(right, arm(free=True), lambda _: right) is right
+
+
+def test_joints_that_lack_parts_of_a_body_are_said_to_though_no_law_is_named() -> None:
+    """A payload on an FMU of two joints had been two sentences that named none of its causes."""
+    none = replace(said(), verdict=Verdict.UNEXPLAINED, unexplained="Joint 1: a torque of 1 N m")
+
+    def lacking(*effects: str | None) -> Any:
+        decisions = [
+            SimpleNamespace(joint=j, kind=Verdict.UNEXPLAINED, near=e and SimpleNamespace(effect=e))
+            for j, e in enumerate(effects, 1)
+        ]
+        nothing: Any = None
+        d = replace(none, workings=Workings(nothing, decisions, nothing, nothing, nothing))  # type: ignore[arg-type]
+        return without_parts(d, arm(free=False), lambda _: d)
+
+    body = lacking("torque_gain", None)
+    assert body.verdict == "unexplained"
+    assert "joints 1 and 2 (torque_gain) may be parts of a wrong body" in body.unexplained
+    assert body.unexplained.endswith("Joint 1: a torque of 1 N m")
+    for effects in (("stiffness", None), ("torque_gain",)):  # a hose; one joint alone
+        assert lacking(*effects).unexplained == none.unexplained

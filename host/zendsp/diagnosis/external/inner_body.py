@@ -7,13 +7,13 @@ gravity, which leaves something. A law that is right leaves nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 
 from zendsp.diagnosis.decide.contract import Verdict, listed
 from zendsp.diagnosis.decide.decide_bodies import like_bodies
 from zendsp.diagnosis.decide.findings import Finding
-from zendsp.diagnosis.decide.result import Diagnosis, FitTable
+from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Workings
 from zendsp.diagnosis.decide.thresholds import OF_STATE
 from zendsp.physics.model import Model
 
@@ -21,7 +21,7 @@ FREED = (
     "What is missing at {} is a wrong body inside the simulator (a payload, or a link of another"
     " mass or length): with its numbers {} free, which the model file holds, {}"
 )
-WITHDRAWN = (
+PARTS = (
     "What is missing at {} ({}) may be parts of a wrong body inside the simulator (a payload, or a"
     " link of another mass): no law of a joint explains it. A body cannot be tried on a simulator"
     " that can only be called: give its masses as [mechanism.parameters], or the machine as URDF or"
@@ -29,10 +29,32 @@ WITHDRAWN = (
 )
 
 
+def like_a_part(effect: str) -> bool:
+    """Whether a joint's part of a wrong body may look like this effect."""
+    return effect in like_bodies() | {"inertia", "coupling"}
+
+
 def like_parts(d: Diagnosis) -> list[Finding]:
     """The findings that may be a joint's part of a wrong body."""
-    alike = like_bodies() | {"inertia", "coupling"}
-    return [f for f in d.findings if f.effect in alike]
+    return [f for f in d.findings if like_a_part(f.effect)]
+
+
+def of_no_law(d: Diagnosis) -> Diagnosis:
+    """The diagnosis, which names nothing; where several joints lack what is like parts of a wrong
+    body, it says so.
+    """
+    assert isinstance(d.workings, Workings)
+    lacking = [x for x in d.workings.decisions if x.kind == Verdict.UNEXPLAINED]
+    like = dict.fromkeys(x.near.effect for x in lacking if x.near and like_a_part(x.near.effect))
+    if len(lacking) < 2 or not like:
+        return d
+    return replace(d, unexplained=_parts([x.joint for x in lacking], like, d))
+
+
+def _parts(joints: Collection[int], like: Iterable[str], d: Diagnosis) -> str:
+    """What is unexplained, after a sentence on a wrong body."""
+    said = PARTS.format(listed(joints), ", ".join(like))
+    return "\n".join(line for line in (said, d.unexplained) if line)
 
 
 def incomplete_parts(d: Diagnosis) -> list[Finding]:
@@ -70,7 +92,11 @@ def without_parts(
     terms : collection of str
         Numbers of the simulator that are terms of the model.
     """
-    if given.joints < 2 or not _may_be_a_body(d):
+    if given.joints < 2 or d.verdict == Verdict.COMPLETE:
+        return d
+    if not d.findings:
+        return of_no_law(d)
+    if not _may_be_a_body(d):
         return d
     held = [
         k for k, q in given.mechanism.items() if q[0].value and not q[0].free and k not in terms
@@ -87,9 +113,7 @@ def without_parts(
     parts, left = incomplete_parts(d), _left(d)
     if not parts or any(f.joint not in left for f in d.findings):
         return d
-    joints = listed({f.joint for f in parts})
-    names = ", ".join(dict.fromkeys(f.effect for f in parts))
-    said = "\n".join(line for line in (WITHDRAWN.format(joints, names), d.unexplained) if line)
+    said = _parts({f.joint for f in parts}, dict.fromkeys(f.effect for f in parts), d)
     return replace(
         d, verdict=Verdict.UNEXPLAINED, findings=(), improved=d.calibrated, unexplained=said,
         estimation=_calibrated(d.estimation), heldout=_calibrated(d.heldout),
