@@ -28,7 +28,7 @@ from zendsp.diagnosis.external.inner_body import without_parts
 from zendsp.diagnosis.external.inside import Inside
 from zendsp.diagnosis.external.numbers import as_given, expanded, folded
 from zendsp.diagnosis.external.rigid import BENT, Called
-from zendsp.diagnosis.external.rigid_check import rigid, terms_inside
+from zendsp.diagnosis.external.rigid_check import _starts_elsewhere, rigid, terms_inside
 from zendsp.errors import ModelError
 from zendsp.physics import load_model
 from zendsp.physics.model import Model, Quantity
@@ -456,6 +456,19 @@ def test_what_answers_late_or_starts_elsewhere_is_no_rigid_body_and_the_reason_i
     signals = read_divided([train], [test], model)[0]
     found = rigid(signals, model, Wheel(lag, rests), lambda _: None)
     assert re.match(why, found) if isinstance(found, str) else not why
+
+
+def test_a_heavier_arm_than_a_simulators_starts_with_the_speed_that_it_is_told() -> None:
+    """A payload of 2 kg on six joints had made its FMU no rigid body: ten minutes by its output."""
+    simulator = called()
+    at = replace(simulator.probe, qd=0.05 * simulator.probe.qd)
+    mass, rest = body(ARM, at.q, at.qd)
+    torque = 4.0 * np.einsum("nij,nj->ni", mass, at.qdd) + rest
+    answer = simulator.simulated(at, torque, simulator.numbers(), 3)
+    assert _starts_elsewhere(simulator, at, answer) == ""
+    resting = simulator.simulated(replace(at, qd=H * at.qdd), torque, simulator.numbers(), 3)
+    resting += (at.q - at.qd * H + 0.5 * at.qdd * H**2 - resting[:, 0])[:, None]
+    assert "does not start with the speed" in _starts_elsewhere(simulator, at, resting)
 
 
 def test_a_function_that_needs_more_rows_is_no_rigid_body(tmp_path: Path) -> None:

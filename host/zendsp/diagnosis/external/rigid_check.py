@@ -320,7 +320,9 @@ def _starts_elsewhere(called: Called, at: State, answer: Array) -> str:
         j = int(np.argmax(away))
         unit = called.model.position_unit(j + 1)
         return f"does not start where it is told (joint {j + 1}: up to {away[j]:.2g} {unit} away)"
-    off = np.sqrt(np.mean(((answer[:, 1] - answer[:, 0]) / h - at.qd) ** 2, axis=0)) / speed
+    # of its first row, whatever it accelerates with under this torque
+    first = (answer[:, 1] - answer[:, 0] - 0.5 * np.diff(answer[:, :3], 2, axis=1)[:, 0]) / h
+    off = np.sqrt(np.mean((first - (at.qd - at.qdd * h)) ** 2, axis=0)) / speed
     if np.any(off > SPEED_AT):
         j = int(np.argmax(off))
         return (
