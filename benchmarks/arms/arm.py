@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -87,6 +87,16 @@ def make_arm(joints: int, rng: np.random.Generator) -> Arm:
         coulomb=dry,
         reach=rng.uniform(0.5, 1.1, joints),
     )
+
+
+def another(arm: Arm, rng: np.random.Generator) -> Arm:
+    """An arm of other proportions, with more or less friction."""
+    length, heavy, dry, fluid = rng.uniform((0.7, 0.6, 0.5, 0.5), (1.3, 1.5, 1.6, 1.6))
+    return replace(
+        arm, place=length * arm.place, com=length * arm.com, mass=heavy * arm.mass,
+        inertia=heavy * length**2 * arm.inertia, coulomb=dry * arm.coulomb,
+        viscous=fluid * arm.viscous,
+    )  # fmt: skip
 
 
 def about(values: Array, rng: np.random.Generator) -> Array:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from arms.arm import Arm, about, make_arm
+from arms.arm import Arm, about, another, make_arm
 from arms.reality import Added, Laboratory, Spring, Stribeck, Wave, bodies, record
 from arms.written import write_forms
 
@@ -151,24 +151,28 @@ CASES: dict[str, Case] = {
 }
 
 
-def make(name: str, folder: Path) -> str:
-    """Write a case, and give a line on how well it was controlled."""
-    case = CASES[name]
-    rng = np.random.default_rng([*name.encode()])
+def make(name: str, folder: Path, seed: int = 0) -> str:
+    """Write a case, and give a line on how well it was controlled. ``seed``: of arms of other
+    proportions that move otherwise, with more or less of what is concealed.
+    """
+    case, lab, size = CASES[name], LABORATORIES[CASES[name].joints], 1.0
+    rng = np.random.default_rng([*name.encode(), *([seed] if seed else [])])
     true = make_arm(case.joints, rng)
+    if seed:
+        true, (size, speed) = another(true, rng), rng.uniform((0.6, 0.7), (1.6, 1.3))
+        lab = replace(lab, fastest=speed * lab.fastest)
     lacks = case.without or {}
     known = {
         key: about(getattr(true, key), rng)
         * [j not in lacks.get(key, ()) for j in range(case.joints)]
         for key in ("rotor", "viscous", "coulomb")
     }
-    given, lab = replace(true, **known), LABORATORIES[case.joints]
+    given = replace(true, **known)
     folder.mkdir(parents=True, exist_ok=True)
     write_forms(folder, given, case.inside, lab.sample_time, lab.count)
     off = []
     for which in ("fit", "heldout"):
-        seed = int(rng.integers(2**31))
-        runs = record(true, given, case.added(true), lab, seed)
+        runs = record(true, given, case.added(true).times(size), lab, int(rng.integers(2**31)))
         np.savez(folder / f"{which}.npz", **runs)
         off.append(np.sqrt(np.mean((runs["q"] - runs["r"]) ** 2, axis=0)))
     (folder / "truth.json").write_text(json.dumps(list(case.truth)))

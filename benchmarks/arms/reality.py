@@ -8,7 +8,7 @@ them sticks.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +63,25 @@ class Added:
     gain: Array | None = None
     offset: Array | None = None
     torque: Torque | None = None
+
+    def times(self, size: float) -> Added:
+        """The same, larger."""
+        out, torque = self, self.torque
+        if (s := self.spring) is not None:
+            out = replace(out, spring=replace(s, stiffness=s.stiffness / size, gap=size * s.gap))
+        if (w := self.wave) is not None:
+            out = replace(out, wave=replace(w, amplitude=size * w.amplitude))
+        if (f := self.stribeck) is not None:
+            out = replace(out, stribeck=replace(f, more=size * f.more))
+        if self.payload is not None:
+            out = replace(out, payload=(size * self.payload[0], self.payload[1]))
+        if self.gain is not None:
+            out = replace(out, gain=1.0 + size * (self.gain - 1.0))
+        if self.offset is not None:
+            out = replace(out, offset=size * self.offset)
+        if torque is not None:
+            out = replace(out, torque=lambda t, q, qd: size * torque(t, q, qd))
+        return out
 
 
 def bodies(arm: Arm, payload: tuple[float, tuple[float, float, float]] | None = None) -> pin.Model:
