@@ -34,6 +34,11 @@ def set_value(c: Columns) -> None:
     c["u"] = c["r"].copy()
 
 
+def before_a_gear(c: Columns) -> None:
+    scale(50.0, "q", "r")(c)
+    scale(1 / 50.0, "u")(c)
+
+
 def swap(c: Columns) -> None:
     c["q"], c["u"] = c["u"], c["q"]
 
@@ -125,6 +130,7 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
         scale(0.001, "u"), "N m under a head that says mN m? Write the unit",
     ),
     "a torque before a gear": (scale(1 / 50.0, "u"), "on the other side of a gear"),
+    "position and torque before a gear": (before_a_gear, "torque of a motor before a gear of"),
     "the set value in place of the command": (set_value, "names a set value of the position"),
     "sign of the command": (scale(-1.0, "u"), "sign of the command or of the position is flipped"),
     "sign of the position": (scale(-1.0, "q"), "flipped"),

@@ -36,6 +36,7 @@ MANY_ERRORS = 10  # the same for a sign, with correlated samples counted once
 SURE_ERRORS = 8  # the same for the factor once a mistake is undone
 LITTLE, MUCH = 0.3, 5.0  # of the model's inertia: outside, units of columns may be wrong
 GEARED = 7.0  # of all joints' inertias: a model of a real KR 300 is off by 4, a gear by 10 and more
+BY_GUESS = 100.0  # of a joint's inertia: farther off is no guess of it, but a unit or a gear
 NONE = 0.2  # of the model's inertia: less counts as not seen
 # of the command: a rigid body that should need this much must be seen
 INERTIAL_SHARE = 0.3
@@ -157,6 +158,7 @@ def check_driven(
             period = records[0].sample_time
             likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "")
             _undo(name, found, likely, period, model, i)
+            _geared(name, found)
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
 
 
@@ -219,6 +221,19 @@ def scaled(name: str, slopes: Sequence[float], unit: str) -> None:
         raise RecordingError(
             f"{name}: the inertias of all joints that show theirs come out as {low:.2g} to"
             f" {high:.2g} times the model's: {why}"
+        )
+
+
+def _geared(name: str, found: Regression) -> None:
+    """Refuse a joint whose inertia no model has."""
+    small = 0.0 < found.slope + ERRORS * found.error < 1.0 / BY_GUESS
+    if found.r2 > GOOD and (small or found.slope - ERRORS * found.error > BY_GUESS):
+        gear = f" of about {found.slope**-0.5:.2g}" if small and found.slope > 0 else ""
+        raise RecordingError(
+            f"{name}: the inertia comes out as {found.slope:.2g} times the model's: position,"
+            " command and model are of different sides of a gear, or in other units. Position and"
+            f" torque of a motor before a gear{gear} show such an inertia: give the model the"
+            " motor's numbers, or [sensor] and [actuator] gain the gear"
         )
 
 
