@@ -38,6 +38,7 @@ from zendsp.diagnosis.measure.bursts import (
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy, surely_beyond
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.touched import by_place
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.model import Model
 
@@ -161,7 +162,19 @@ def of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
     if state.size > OF_STATE and predicts(state):
         return True
     memory = structure(parts.each, model, pushed.joint, [MEMORY], turning)
-    return memory.share > PREDICTED and memory.z > PLAIN
+    return (memory.share > PREDICTED and memory.z > PLAIN) or of_the_place(pushed, parts)
+
+
+def of_the_place(pushed: Decision, parts: Parts) -> bool:
+    """Whether other visits to the places of a push, however light, predict most of it: the joint
+    touches something. A law beside the push may be bent to that, so the calibrated model is asked
+    too.
+    """
+    if pushed.bursts is None:
+        return False
+    models = {id(s.model): s.model for s in (pushed.final, pushed.base)}.values()
+    each = (parts.fit, parts.held)
+    return any(by_place(pushed.bursts, each, m, pushed.joint) > PREDICTED for m in models)
 
 
 def of_a_law(pushed: Decision, laws: Sequence[Model], parts: Parts) -> bool:
