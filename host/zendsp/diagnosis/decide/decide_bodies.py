@@ -192,8 +192,9 @@ def beside_bodies(
     claims: Sequence[BodyClaim], decisions: Sequence[Decision], test: Data
 ) -> list[Decision]:
     """The decisions, with claims turned into refinements where they may be the error of a body: a
-    constant or a function of the position no larger than the uncertainty of its weight, and a small
-    inertia. Where calibration could have absorbed the body but was held, any inertia counts.
+    constant, a function of the position, or a gain of the torque, which is mostly weight, no larger
+    than the uncertainty of its weight, and a small inertia. Where calibration could have absorbed
+    the body but was held, any inertia counts.
     """
     out = []
     calibrates = any("calibration" in c.found.indistinguishable for c in claims)
@@ -205,7 +206,9 @@ def beside_bodies(
             for c in decision.claims
             if (
                 c.size < max(LAW_ERROR * largest, SURE * wrong)
-                and (c.mechanism == "position_torque" or c.is_constant)
+                and (
+                    c.mechanism == "position_torque" or c.is_constant or c.effect == "torque_gain"
+                )
             )
             or (c.effect == "inertia" and (calibrates or c.size**2 < OWN_SHARE * largest**2))
         ]
