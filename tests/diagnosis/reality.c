@@ -39,6 +39,7 @@ static double resist(const numbers *m, double q, double v, double *inertia)
         f += m->inertia * slope * bend * v * v;
         f += m->gravity * (slope * sin(q + m->wobble * sin(5 * q + 0.6)) - sin(q));
     }
+    if (q > m->edge) f += fmax(0.0, m->touch * pow((q - m->edge) / 0.1, 1.5) * (1 + 0.1 * v));
     f += m->sticky * tanh(2 * sin(3 * q)) * tanh(v / 0.1);
     return f + (m->swirl * sin(2 * v) + m->blend * q * v);
 }

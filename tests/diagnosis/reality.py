@@ -52,6 +52,9 @@ class Machine:
     # two more that no library has: swirl * sin(2 q̇), and blend * q * q̇
     swirl: float = 0.0
     blend: float = 0.0
+    # N m at 0.1 rad beyond `edge`, of something springy that the joint touches there
+    touch: float = 0.0
+    edge: float = 0.0
     push: tuple[float, ...] = (0.0,)  # N m, from s, to s, from s, to s, …
     gap: float = 0.0  # rad, behind which `load` of the inertia hangs on a contact of 120 N m/rad
     load: float = 0.0

@@ -105,7 +105,8 @@ def shifted(
         return []
     factor = _one_factor(given, whole.improved, joint)
     if factor is not None:
-        return [(z, size, _gain(joint, factor, std / abs(amount / ratio)))]
+        off = math.hypot(std / abs(amount / ratio), factor * _given_off(given, whole.improved, joint))
+        return [(z, size, _gain(joint, factor, off))]
     unit = "kg m²" if given.kind == "rotary" else "kg"
     wrong = "the given number is wrong"
     what = f"the joint bears a payload, or {wrong}" if amount > 0 else wrong
@@ -255,6 +256,15 @@ def _one_factor(given: Model, calibrated: Model, joint: int) -> float | None:
     if len(ratios) < 3 or not all(n.is_far for n in numbers) or np.ptp(ratios) >= TOLERANCE:
         return None
     return float(np.mean(ratios))
+
+
+def _given_off(given: Model, calibrated: Model, joint: int) -> float:
+    """The relative standard deviation of the mean of a joint's given numbers, of which each is off
+    by its own tolerance.
+    """
+    each = [n.given for n in _numbers(given, calibrated, joint) if n.given.value]
+    known = [max(TOLERANCE, q.std / abs(q.value)) for q in each]
+    return math.hypot(*known) / len(known)
 
 
 def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:

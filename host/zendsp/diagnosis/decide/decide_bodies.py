@@ -14,6 +14,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed
@@ -368,9 +369,16 @@ def body_finding(claim: BodyClaim, everything: float, given: Model) -> Finding:
 
 
 def _why_unsure(explained: Explained, given: Model) -> str:
-    """A sentence where most of a body's uncertainty is that of the gains of the drives."""
-    of_gain = explained.of_gain
-    if of_gain is None or not np.any(of_gain**2 > MOSTLY * explained.std**2):
+    """A sentence where most of a body's uncertainty is that of the gains of the drives, or of an
+    inertia of its own.
+    """
+
+    def most_of_it(part: npt.NDArray[np.float64] | None) -> bool:
+        return part is not None and bool(np.any(part**2 > MOSTLY * explained.std**2))
+
+    if most_of_it(explained.of_inertia):
+        return " Most of its ± is for an inertia about its own centre, which nothing here shows."
+    if not most_of_it(explained.of_gain):
         return ""
     stated = "as [actuator] gain states" if given.actuator.gain_known else UNSTATED
     most = f"{percent(gain_known(given))} %"

@@ -24,6 +24,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PLAIN,
     PREDICTED,
     SURE,
+    VISITED,
 )
 from zendsp.diagnosis.measure.bursts import (
     FEW,
@@ -38,7 +39,7 @@ from zendsp.diagnosis.measure.bursts import (
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy, surely_beyond
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
-from zendsp.diagnosis.measure.touched import by_place
+from zendsp.diagnosis.measure.touched import other_visits
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.model import Model
 
@@ -166,15 +167,16 @@ def of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
 
 
 def of_the_place(pushed: Decision, parts: Parts) -> bool:
-    """Whether other visits to the places of a push, however light, predict most of it: the joint
-    touches something. A law beside the push may be bent to that, so the calibrated model is asked
-    too.
+    """Whether a push may as well be something that the joint touches: other visits to its places,
+    however light, predict most of it, or the joint hardly was there otherwise. A law beside the
+    push may be bent to that, so the calibrated model is asked too.
     """
     if pushed.bursts is None:
         return False
     models = {id(s.model): s.model for s in (pushed.final, pushed.base)}.values()
     each = (parts.fit, parts.held)
-    return any(by_place(pushed.bursts, each, m, pushed.joint) > PREDICTED for m in models)
+    own, *others = (other_visits(pushed.bursts, each, m, pushed.joint) for m in models)
+    return own.share < VISITED or any(v.predicted > PREDICTED for v in (own, *others))
 
 
 def of_a_law(pushed: Decision, laws: Sequence[Model], parts: Parts) -> bool:

@@ -27,9 +27,19 @@ SMOOTHED = 1e-3  # of the mean square of the shapes
 
 
 @dataclass(frozen=True)
+class Visits:
+    """What other visits to the places of a torque say of it: the part of its energy at places where
+    the joint was at other times too; and the part of that which they predict.
+    """
+
+    share: float
+    predicted: float
+
+
+@dataclass(frozen=True)
 class _Along:
-    """Samples of a recording, without those at reversals: what a model lacks, (n,); the shapes that
-    may explain it, (columns, n); the cell of the position; and the time, s.
+    """Samples of a recording: what a model lacks, (n,); the shapes that may explain it, (columns,
+    n); the cell of the position; the time, s; and whether the joint moves.
     """
 
     recording: str
@@ -37,6 +47,7 @@ class _Along:
     shapes: Array
     cells: npt.NDArray[np.int_]
     times: Array
+    moves: Mask
     step: float
 
     def at(self, span: tuple[float, float], recording: str, beside: float = 0.0) -> Mask:
@@ -46,25 +57,32 @@ class _Along:
         return (self.times >= span[0] - beside) & (self.times <= span[1] + beside)
 
 
-def by_place(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -> float:
-    """The part of a torque's energy that functions of the position, and their products with the
-    speed, predict where the joint was at other times too. They are fitted to all other times,
-    beside what calibration may have bent, so they do not predict a push: other visits to its place
-    are free of it. 0 where the joint was there for less than an observer's memory.
+def other_visits(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -> Visits:
+    """What other visits to its places say of a torque that comes and goes. Functions of the
+    position, and their products with the speed, are fitted to all other times, beside what
+    calibration may have bent. They do not predict a push, as other visits are free of it; nor
+    anything where the joint was there for less than an observer's memory.
     """
     along = _along(parts, model, joint)
-    energy = gained = seconds = 0.0
+    whole = there = energy = gained = seconds = 0.0
     for span, name in zip(found.intervals, found.recordings, strict=True):
         rest = [~a.at(span, name, BESIDE) for a in along]
         seen = np.unique(np.concatenate([a.cells[use] for a, use in zip(along, rest, strict=True)]))
         bent, full = (_fitted(along, rest, few) for few in (True, False))
         for a in along:
-            here = a.at(span, name) & np.isin(a.cells, seen)
-            lack, left = (a.lack[here] - th @ a.shapes[: len(th), here] for th in (bent, full))
+            here = a.at(span, name)
+            again = here & np.isin(a.cells, seen)
+            whole += float(a.lack[here] @ a.lack[here])
+            there += float(a.lack[again] @ a.lack[again])
+            again &= a.moves
+            lack, left = (
+                a.lack[again] - th @ a.shapes[: len(th), again] for th in (bent, full)
+            )
             energy += float(lack @ lack)
             gained += float(lack @ lack - left @ left)
-            seconds += float(here.sum()) * a.step
-    return gained / energy if seconds > 2.0 / LACKING_BAND and energy > 0.0 else 0.0
+            seconds += float(again.sum()) * a.step
+    enough = seconds > 2.0 / LACKING_BAND and energy > 0.0
+    return Visits(there / max(whole, 1e-300), gained / energy if enough else 0.0)
 
 
 def _along(parts: Sequence[Data], model: Model, joint: int) -> list[_Along]:
@@ -78,8 +96,7 @@ def _along(parts: Sequence[Data], model: Model, joint: int) -> list[_Along]:
         place = unit(q, ranges.position)
         along = splines(place, PIECES)
         raw = np.concatenate([shapes(rec, joint, TAKEN, ranges), along, v / ranges.speed * along])
-        turns = reversals(record, band_of(record, LACKING_BAND))[use]
-        rows = (use.start + np.flatnonzero(~turns)[::stride]).astype(np.int32)
+        rows = np.arange(use.start, use.start + len(lack), stride, dtype=np.int32)
         out.append(
             _Along(
                 record.recording,
@@ -87,6 +104,7 @@ def _along(parts: Sequence[Data], model: Model, joint: int) -> list[_Along]:
                 as_seen(record, model, LACKING_BAND, raw, rows=rows),
                 np.floor(CELLS * place[rows]).astype(int),
                 record.t0 + record.sample_time * rows,
+                ~reversals(record, band_of(record, LACKING_BAND))[rows],
                 record.sample_time * stride,
             )
         )
@@ -99,7 +117,8 @@ def _fitted(along: Sequence[_Along], rest: Sequence[Mask], few: bool) -> Array:
     """
     size = len(along[0].shapes) - 2 * PIECES * few
     square, product = np.zeros((size, size)), np.zeros(size)
-    for a, use in zip(along, rest, strict=True):
+    for a, there in zip(along, rest, strict=True):
+        use = there & a.moves
         drawn = a.shapes[:size, use]
         square += drawn @ drawn.T
         product += drawn @ a.lack[use]

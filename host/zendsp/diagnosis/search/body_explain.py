@@ -37,6 +37,8 @@ class Explained:
         The part of the squared innovations left by ``nothing`` that it removes at each joint.
     of_gain : ndarray, shape (p,), or None
         The part of the standard deviations that comes from the gains of the drives, where known.
+    of_inertia : ndarray, shape (p,), or None
+        The part that comes from an inertia that a payload may have of its own, where known.
     """
 
     hypothesis: Hypothesis
@@ -48,6 +50,7 @@ class Explained:
     joints: Array
     share: Array
     of_gain: Array | None = None
+    of_inertia: Array | None = None
 
     def __repr__(self) -> str:
         numbers = ", ".join(

@@ -47,6 +47,7 @@ class BodyLimits:
     own_mass: float = 0.5  # of a link's mass: a larger error is a payload
     shown: float = 2.0  # standard deviations: a mass gets a surer inertia of its own
     spread: float = 0.3  # m: no payload's radius of gyration is larger
+    density: float = 1000.0  # kg/m^3 of a payload: a ball of water, between a gripper and a box
     reach: float = 1.0  # m from its link's centre of mass: farthest centre of a payload
     gain: float = 0.5  # largest error of an actuator's gain
     constant: float = 0.05  # relative standard deviation of the torque constants that makers state

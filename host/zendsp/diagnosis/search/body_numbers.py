@@ -97,8 +97,12 @@ def known_by(
 def _known_to(solver: Solver, first: Explained, values: Array, apart: float) -> Explained:
     """An explanation with numbers and how well they are known."""
     by_gain = _by_gain(solver, first.hypothesis, values, apart)
-    std = np.hypot(apart * solver.std(first.hypothesis, values), by_gain)
-    return replace(first, values=values, std=std, of_gain=np.abs(by_gain))
+    by_inertia = _by_inertia(solver, first.hypothesis, values, apart)
+    beside = np.hypot(by_gain, by_inertia)
+    std = np.hypot(apart * solver.std(first.hypothesis, values), beside)
+    return replace(
+        first, values=values, std=std, of_gain=np.abs(by_gain), of_inertia=np.abs(by_inertia)
+    )
 
 
 def _standing(
@@ -162,6 +166,22 @@ def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Arra
             break
         shift /= 2.0
     return np.asarray(shift)
+
+
+def _by_inertia(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Array:
+    """The change of a payload's numbers where it is no point, as is assumed while nothing shows its
+    inertia: with that of a ball of its mass, or as much as the recordings allow. Without gravity a
+    mass is known by its inertia alone, and a part of that may be its own.
+    """
+    if h.effect != "payload" or "inertia" in h.free or not values[0] > 0.0:
+        return np.zeros(len(values))
+    radius = (0.75 * values[0] / (np.pi * solver.limits.density)) ** (1.0 / 3.0)
+    ball = 0.4 * float(values[0]) * float(radius) ** 2
+    both, point = replace(h, free=(*h.free, "inertia")), np.append(values, 0.0)
+    seen = apart * float(solver.std(both, point)[-1])
+    by = seen * ball / max(float(np.hypot(seen, ball)), 1e-300)
+    shift = solver.beside(both, np.append(values, by), point).estimate(h, values) - values
+    return np.asarray(shift) if solver.plausible(h, values + shift) else np.zeros(len(values))
 
 
 def gain_known(model: Model, limits: BodyLimits = LIMITS) -> float:

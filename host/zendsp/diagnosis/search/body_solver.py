@@ -55,6 +55,14 @@ class Solver:
         """The solver for actuators that all give a part ``by`` more than stated."""
         origin = self.origin.copy()
         origin[:, self.layout.own] -= by
+        return self._from(origin)
+
+    def beside(self, h: Hypothesis, having: Array, without: Array) -> Solver:
+        """The solver for a machine that has what is between two sets of numbers of a hypothesis."""
+        more = self.layout.place(h, having) - self.layout.place(h, without)
+        return self._from(self.origin - more)
+
+    def _from(self, origin: Array) -> Solver:
         return Solver(
             self.fit, self.choose, self.layout, self.limits, origin, self.aside, self.rotors
         )
