@@ -32,6 +32,13 @@ LINKS = (  # name, place, axis, mass, centre, inertia
 # a wrist that weighs something and has no inertia about its axis, as files often have it
 WRIST = (*LINKS[:2], ("fore", "0.4 0 0", "1 0 0", 0.5, "0.04 0 0", 0.0))
 
+# in a plane across gravity, so that inertia alone shows what it carries
+FLAT = (
+    ("column", "0 0 0.2", "0 0 1", 4.0, "0.15 0.02 0", 0.02),
+    ("upper", "0.3 0 0", "0 0 1", 3.0, "0.15 0 0.01", 0.03),
+    ("fore", "0.3 0 0", "0 0 1", 1.0, "0.1 0.01 0", 0.008),
+)
+
 # Ends of the strap: on the forearm, and on the base, m; and the product across the first
 TIED, BASE_TIED = np.array([0.2, 0.0, 0.05]), np.array([0.25, -0.1, 0.1])
 ACROSS_TIED = np.cross(TIED, np.eye(3), axisb=0, axisc=0)
@@ -57,6 +64,7 @@ class Arm:
 
     mass: float = 0.0  # of a payload on the forearm, kg, with its centre at `com`
     com: tuple[float, float, float] = (0.35, 0.05, 0.03)
+    round: float = 0.0  # kg m², of it about its centre
     heavier: float = 0.0  # kg of the upper arm's own mass
     shifted: float = 0.0  # m of the upper arm's centre, along it
     tilt: float = 0.0  # rad, of gravity about x
@@ -98,7 +106,8 @@ def _simulated(arm: Arm, seed: int, seconds: float) -> np.ndarray:
 
     given = pin.buildModelFromXML(urdf(arm.links))
     true = given.copy()
-    true.inertias[3] = true.inertias[3] + pin.Inertia(arm.mass, np.array(arm.com), np.zeros((3, 3)))
+    load = pin.Inertia(arm.mass, np.array(arm.com), arm.round * np.eye(3))
+    true.inertias[3] = true.inertias[3] + load
     own = true.inertias[2]
     lever = own.lever + np.array([arm.shifted, 0.0, 0.0])
     true.inertias[2] = pin.Inertia(own.mass + arm.heavier, lever, own.inertia)

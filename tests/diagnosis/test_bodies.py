@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from small_arms import (
+    FLAT,
     ROTOR,
     Arm,
     prepared,
@@ -27,7 +28,7 @@ from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.decide_bodies import beside_bodies
+from zendsp.diagnosis.decide.decide_bodies import _why_unsure, beside_bodies
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.report.laws import where_most
 from zendsp.diagnosis.report.sides import Sides
@@ -128,6 +129,21 @@ def test_a_payloads_uncertainty_includes_that_of_the_torque_constants(record) ->
         layout = Layout(replace(model, actuator=actuator), links)
         sure.append(float(refined(fit, choose, layout, found.explained).std[0]))
     assert sure[0] == sure[1] > 2.0 * sure[2] and sure[2] == sure[3]
+
+
+def test_a_payload_that_only_its_inertia_shows_may_have_a_part_of_that_about_its_centre(record) -> None:  # type: ignore[no-untyped-def]  # noqa: E501
+    """A payload of 0.70 kg on a planar arm had been 0.615 ± 0.041 kg, at 65.5 ± 1.2 mm for 58."""
+    arm = Arm(mass=0.5, com=(0.06, 0.05, 0.03), round=5e-4, links=FLAT, held=1)
+    model, _ = made = record("flat", arm, True)
+    (found,) = searched(made).found
+    known = found.explained
+    assert known.hypothesis.free == ("mass", "com_x", "com_y"), "as a point"
+    off = np.abs(known.values - (0.5, 0.06, 0.05))
+    assert np.all(off < 2.0 * known.std)
+    assert known.of_inertia is not None and off[0] > 2.0 * np.sqrt(
+        known.std[0] ** 2 - known.of_inertia[0] ** 2
+    )
+    assert "an inertia about its own centre" in _why_unsure(known, model)
 
 
 def test_a_mass_is_drawn_at_the_joint_where_its_torque_is_largest(record) -> None:  # type: ignore[no-untyped-def]

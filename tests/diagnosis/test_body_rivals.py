@@ -66,11 +66,14 @@ def planar(p2: float) -> Model:
     )
 
 
+@pytest.mark.parametrize("effect", ["torque_offset", "torque_gain"])
 @pytest.mark.parametrize(("com_std", "stands"), [(0.004, False), (0.0004, True)])
-def test_a_constant_torque_within_the_uncertainty_of_a_bodys_centre_belongs_to_the_body(
-    com_std: float, stands: bool
+def test_a_constant_or_a_gain_within_the_uncertainty_of_a_bodys_centre_belongs_to_the_body(
+    com_std: float, stands: bool, effect: str
 ) -> None:
-    """With 8 kg, 4 mm make 0.3 N m, whatever the uncertainty of the mass."""
+    """With 8 kg, 4 mm make 0.3 N m, whatever the uncertainty of the mass. Beside a link's centre
+    known to 15 mm an arm's drive had given 0.7 % less torque, with a confidence of 92 %.
+    """
     arm = SimpleNamespace(inertia=np.zeros(5), bias=np.zeros(5))
 
     def change(terms: list[Term], _joint: int) -> Any:
@@ -84,16 +87,16 @@ def test_a_constant_torque_within_the_uncertainty_of_a_bodys_centre_belongs_to_t
     test: Any = SimpleNamespace(records=[[record]])
     term = Term("body", 1, {"com_x": Quantity(0.02, free=False, std=com_std)})
     nothing: Any = None
-    law = Term("torque_offset", 1, {})
-    claim = Claim("torque_offset", "actuator", law, 0.02, nothing, 0.0, {}, (), (), ())
+    claim = Claim(effect, "actuator", Term(effect, 1, {}), 0.02, nothing, 0.0, {}, (), (), ())
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
     found = SimpleNamespace(term=term, indistinguishable=())
     body: Any = SimpleNamespace(sizes={1: 0.03}, found=found)
     (beside,) = beside_bodies([body], [decision], test)
     assert (beside.claims == (claim,)) is stands
-    nameless = replace(claim, effect="unknown")
+    nameless = replace(claim, effect="unknown", term=Term("torque_offset", 1, {}))
+    law = replace(nameless, effect="torque_offset")
     (beside,) = beside_bodies([body], [replace(decision, claims=(nameless,))], test)
-    assert beside.refinements == (() if stands else (claim,)), "a refinement is a law"
+    assert beside.refinements == (() if stands else (law,)), "a refinement is a law"
 
 
 @pytest.mark.parametrize("same", ["calibration", "torque_gain"])
@@ -201,6 +204,7 @@ def test_rivals_of_a_body_are_effects_in_the_report_and_words_in_its_sentence() 
         values=np.array([0.3]),
         std=np.array([0.03]),
         of_gain=None,
+        of_inertia=None,
     )
     others = ("payload of link2", "body of link3", "gravity_scale", "calibration")
     found = FoundBody(term, "link2", explained, others, ())

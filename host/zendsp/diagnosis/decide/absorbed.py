@@ -105,8 +105,8 @@ def shifted(
         return []
     factor = _one_factor(given, whole.improved, joint)
     if factor is not None:
-        off = math.hypot(std / abs(amount / ratio), factor * _given_off(given, whole.improved, joint))
-        return [(z, size, _gain(joint, factor, off))]
+        known = factor * _given_off(given, whole.improved, joint)
+        return [(z, size, _gain(joint, factor, math.hypot(std / abs(amount / ratio), known)))]
     unit = "kg m²" if given.kind == "rotary" else "kg"
     wrong = "the given number is wrong"
     what = f"the joint bears a payload, or {wrong}" if amount > 0 else wrong

@@ -64,9 +64,9 @@ CLAIMED = 2.5  # the same for a claim, beside its e-value; right ones had 2.8 an
 PLAIN = 2.0  # the same where another measure must hold too
 # of the missing torque's energy: a mechanism whose variables predict less is not claimed
 PREDICTED = 0.5
-# of a push's energy, at places where the joint was at other times too: with less it may be something
-# that the joint touches there. Twelve pushes had 0.99 and more; three things touched 0.005 to 0.77,
-# and there other visits predicted 0.8 to 0.99 of it, and at most 0.13 of a push
+# of a push's energy, at places where the joint was at other times too: with less it may be
+# something that the joint touches there. Twelve pushes had 0.99 and more; of touches, which had
+# 0.005 to 0.77, other visits predicted 0.8 and more, and 0.13 at most of a push
 VISITED = 0.5
 RIVAL = 0.5  # of that: where another mechanism's variables predict as much, neither is claimed
 # of the size of a mechanism without a law: a smaller claim beside it may be a part of it; chosen on

@@ -103,7 +103,7 @@ def _along(parts: Sequence[Data], model: Model, joint: int) -> list[_Along]:
                 lack[rows - use.start],
                 as_seen(record, model, LACKING_BAND, raw, rows=rows),
                 np.floor(CELLS * place[rows]).astype(int),
-                record.t0 + record.sample_time * rows,
+                np.asarray(record.t0 + record.sample_time * rows, float),
                 ~reversals(record, band_of(record, LACKING_BAND))[rows],
                 record.sample_time * stride,
             )
@@ -123,4 +123,4 @@ def _fitted(along: Sequence[_Along], rest: Sequence[Mask], few: bool) -> Array:
         square += drawn @ drawn.T
         product += drawn @ a.lack[use]
     level = SMOOTHED * float(np.trace(square)) / size
-    return np.linalg.solve(square + max(level, 1e-300) * np.eye(size), product)
+    return np.asarray(np.linalg.solve(square + max(level, 1e-300) * np.eye(size), product))
