@@ -20,9 +20,9 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-PIECES = 14  # of a torque over the position
+OVER_PLACE = 14  # of a torque over the position
 CELLS = 100  # of the position: a joint was in one at other times, or not
-BESIDE = 0.5  # s: nearer to a time is the same visit
+SAME_VISIT = 0.5  # s: nearer to a time is the same visit
 SMOOTHED = 1e-3  # of the mean square of the shapes
 
 
@@ -66,7 +66,7 @@ def other_visits(found: Bursts, parts: Sequence[Data], model: Model, joint: int)
     along = _along(parts, model, joint)
     whole = there = energy = gained = seconds = 0.0
     for span, name in zip(found.intervals, found.recordings, strict=True):
-        rest = [~a.at(span, name, BESIDE) for a in along]
+        rest = [~a.at(span, name, SAME_VISIT) for a in along]
         seen = np.unique(np.concatenate([a.cells[use] for a, use in zip(along, rest, strict=True)]))
         bent, full = (_fitted(along, rest, few) for few in (True, False))
         for a in along:
@@ -94,7 +94,7 @@ def _along(parts: Sequence[Data], model: Model, joint: int) -> list[_Along]:
         record = rec[joint - 1]
         q, v, _ = record.motion.states
         place = unit(q, ranges.position)
-        along = splines(place, PIECES)
+        along = splines(place, OVER_PLACE)
         raw = np.concatenate([shapes(rec, joint, TAKEN, ranges), along, v / ranges.speed * along])
         rows = np.arange(use.start, use.start + len(lack), stride, dtype=np.int32)
         out.append(
@@ -115,7 +115,7 @@ def _fitted(along: Sequence[_Along], rest: Sequence[Mask], few: bool) -> Array:
     """The numbers of the shapes fitted to the ``rest``, or of the ``few`` that calibration may have
     bent, (columns,).
     """
-    size = len(along[0].shapes) - 2 * PIECES * few
+    size = len(along[0].shapes) - 2 * OVER_PLACE * few
     square, product = np.zeros((size, size)), np.zeros(size)
     for a, there in zip(along, rest, strict=True):
         use = there & a.moves
