@@ -263,7 +263,8 @@ def _grown(fit: Fit, gravity: Term, given: Model) -> Estimate:
 def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
     """The effects that these recordings cannot tell from a law: those tied in the choice among
     laws; a displaced centre of mass, for gravity at one joint of an arm; a body, for a coupling by
-    acceleration or speed, and for a gain as small as masses of a file are wrong by; and any constant, where a joint moves only one way.
+    acceleration or speed, and for a gain as small as masses of a file may be wrong by; and any
+    constant, where a joint moves only one way.
     """
     law, more = claim.effect, []
     if law == "gravity" and given.kind in TREES:

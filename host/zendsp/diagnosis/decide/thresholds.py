@@ -65,7 +65,7 @@ PLAIN = 2.0  # the same where another measure must hold too
 # of the missing torque's energy: a mechanism whose variables predict less is not claimed
 PREDICTED = 0.5
 # of a push's energy, at places where the joint was at other times too: with less it may be
-# something that the joint touches there. Twelve pushes had 0.99 and more; of touches, which had
+# something that the joint touches there. Eleven pushes had 0.99 and more; of touches, which had
 # 0.005 to 0.77, other visits predicted 0.8 and more, and 0.13 at most of a push
 VISITED = 0.5
 RIVAL = 0.5  # of that: where another mechanism's variables predict as much, neither is claimed
