@@ -91,7 +91,7 @@ void run(const numbers *m, int n, int sub, double T, const double *reference, co
     for (int k = 0; k < n; k++) {
         const double y = counted(s.q + m->oval * sin(2 * s.q + 0.3), m->resolution),
                      told = m->kp * (reference[k] - y) - m->kd * (y - last) / T,
-                     apart = s.q - s.there, faded = 1.0 + m->fade * (1.0 - exp(-k * T / 3.0));
+                     apart = s.q - s.there, faded = 1.0 + m->fade * (1.0 - exp(-k * T / m->fading));
         last = y;
         seen[k] = m->smear != 0.0 ? counted(s.seen, m->resolution) : y;
         u[k] = fmax(-m->limit, fmin(m->limit, told));

@@ -65,7 +65,8 @@ class Machine:
     limit: float = 3.0
     weak: float = math.inf  # torque that the actuator gives at most, whatever it is told
     resolution: float = RESOLUTION
-    fade: float = 0.0  # share by which the actuator's gain changes, with a time constant of 3 s
+    fade: float = 0.0  # share by which the actuator's gain changes
+    fading: float = 3.0  # s: time constant of that
     oval: float = 0.0  # rad: an error of the sensor twice a turn
     smear: float = 0.0  # s: a low-pass filter between the sensor and the recording
     late: int = 0  # rows by which the command column is late; early where negative

@@ -168,9 +168,9 @@ def test_refinements_that_make_a_claimed_number_uncertain_are_left_out(
     assert decision._blurred(found, given) is blurred
 
 
-def test_what_acts_in_the_first_second_of_ten_is_the_start_and_no_drift() -> None:
+def test_what_acts_in_the_first_half_second_of_ten_is_the_start_and_no_drift() -> None:
     facts: Any = SimpleNamespace(scale=SimpleNamespace(seconds=10.0))
-    assert slow_limits(facts)[0] == 1.0
+    assert slow_limits(facts)[0] > 0.5
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,39 @@ def test_twice_the_size_that_complete_states_as_detectable_is_named(
     assert [f.effect for f in again.findings] == [effect]
 
 
+@pytest.mark.usefixtures("searched_once", "sizes_unasked")
+def test_a_drift_with_the_least_time_constant_that_a_size_is_stated_for_is_named(
+    decided: Decided, seconds: tuple[float, float]
+) -> None:
+    """Eight drifts of 2 s in 20 s of recording, two and a half times as large as stated, were
+    "complete": such a time constant was at its limit, where a law counts as none.
+    """
+    least = min(get_effect("gain_drift").grid["time_constant"]) * seconds[0]
+    (found,) = decided(reality.Machine(fade=0.05, fading=least)).findings
+    assert found.effect == "gain_drift"
+    assert found.parameters["time_constant"].value == pytest.approx(least, rel=0.1)
+
+
+@pytest.mark.usefixtures("searched_once")
+def test_a_size_is_stated_only_where_a_search_may_end_and_upon_what_it_needs(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a ripple with fewer periods in the travel than a search takes a size was stated; and of a
+    Stribeck curve upon a friction with which no search tries one.
+    """
+    limits = {"order": (20.0, math.inf), "time_constant": (0.6, 30.0)}
+    monkeypatch.setattr(
+        sizes, "parameter_bounds", lambda _, name, record: limits.get(name, (-math.inf, math.inf))
+    )
+    monkeypatch.setattr(sizes, "is_supported", lambda effect, had: effect.name != "stribeck")
+    d = decided(reality.Machine())
+    at = {x.effect: x.at for x in (*d.detectable, *d.undetectable)}
+    assert at["ripple"]["order"] >= 20.0
+    assert at["gain_drift"]["time_constant"] > 0.6 * 1.02
+    assert "stribeck" in {x.effect for x in d.undetectable}
+    assert {"ripple", "gain_drift", "dead_zone"} <= {x.effect for x in d.detectable}
+
+
 @pytest.mark.usefixtures("searched_once")
 @pytest.mark.parametrize("late", [0.02, 0.2])
 def test_no_delay_is_said_to_be_missed_below_a_time_that_no_fit_reaches(

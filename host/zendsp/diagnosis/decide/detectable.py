@@ -52,16 +52,25 @@ from zendsp.diagnosis.measure.discrepancy import (
 )
 from zendsp.diagnosis.measure.evidence import block_scores, evidence, settling
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
+from zendsp.diagnosis.measure.significance import essence_of
 from zendsp.diagnosis.measure.windows import standing_out, window_error
 from zendsp.diagnosis.search.hypothesis import price
 from zendsp.diagnosis.search.rounds import PROMISING
 from zendsp.diagnosis.search.screen import FIRST_ORDER, Screen, phase_of
 from zendsp.diagnosis.search.short_fits import WAIT
-from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
+from zendsp.physics.calibration.bounds import parameter_bounds
+from zendsp.physics.calibration.fit import NEAR, Data, Fit, fit, joint_handles, residual
 from zendsp.physics.calibration.handles import Handle, get_values, set_values
 from zendsp.physics.calibration.joint import JointRecord, facts
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
-from zendsp.physics.effects import Effect, get_effect, library, mechanism_of, unit_of
+from zendsp.physics.effects import (
+    Effect,
+    get_effect,
+    is_supported,
+    library,
+    mechanism_of,
+    unit_of,
+)
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
@@ -142,15 +151,15 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
-        term = _smallest(traces[effect.aliases], name, implant.energy, beyond * scale)
+        stands = is_supported(effect, have)  # or no search tries it
+        trace = traces[effect.aliases]
+        term = _smallest(trace, name, implant.energy, beyond * scale) if stands else None
         size, torque = _worst(implant, effect, term, beyond)
         least = _least(effect, screen.records[0])
         size, torque = max(size, least), torque * max(1.0, least / size)
         parameter = effect.parameter(_key(effect))
-        most = max(r.scale.of(parameter.size) for r in screen.records)
-        most *= NOT_SMALL if parameter.above else 1.0  # it acts upon another, and seldom
-        if size > (FIRST_ORDER if parameter.size == "time" else most):
-            size, torque = NOT_SEEN  # although as large as all torque or travel, or beyond any fit
+        if size > _most(effect, screen.records):
+            size, torque = NOT_SEEN
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),
@@ -203,6 +212,32 @@ def _key(effect: Effect) -> str:
     return effect.linear[0] if effect.linear else effect.parameters[0].name
 
 
+def _is_named(effect: Effect, point: dict[str, float], record: JointRecord) -> bool:
+    """Whether a fit may end at these numbers and be named: within the limits of each, and off them
+    where the effect is nothing there. (Drifts were stated at the least time constant, at which
+    none of eight that were put in was named.)
+    """
+    for name, value in point.items():
+        low, high = parameter_bounds(effect.name, name, record)
+        off = NEAR * value if name in essence_of(effect.name) else 0.0
+        if not low + off <= value <= high - off:
+            return False
+    return True
+
+
+def _most(effect: Effect, records: Sequence[JointRecord]) -> float:
+    """The size above which an effect is not stated: all torque or travel, beyond any fit, or no
+    machine has it.
+    """
+    parameter = effect.parameter(_key(effect))
+    _, largest = parameter_bounds(effect.name, parameter.name, records[0])
+    if parameter.size == "time":
+        return min(FIRST_ORDER, largest)
+    most = max(r.scale.of(parameter.size) for r in records)
+    # one that acts upon another is seldom as large
+    return min(most * NOT_SMALL if parameter.above else most, largest)
+
+
 class _Traces:
     """Traces of effects in the innovations of the test recordings, after the calibrated numbers
     have absorbed what the recordings of the fit suggest: all but those of ``other`` terms, which
@@ -238,7 +273,8 @@ def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term 
     """
     screen, effect = traces.screen, get_effect(name)
     key = _key(effect)
-    points = grid_of(effect, screen.records[0], screen.model) or [{}]
+    record = screen.records[0]
+    points = [p for p in grid_of(effect, record, screen.model) if _is_named(effect, p, record)]
     points = points[:: max(1, len(points) // GRID)]
     worst: tuple[float, dict[str, float]] | None = None
     for point in points:

@@ -91,11 +91,12 @@ def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
 def slow_limits(facts: Facts) -> tuple[float, float]:
     """Limits of time constants that a recording of this length can show, s.
 
-    A time constant below a tenth of it acts in at most a third of it: that is the start of a
-    recording (robot brakes: 0.34 s of 10 s for a KUKA), not a drift. (From a twentieth on, two of
-    its axes had a friction that falls to a quarter within half a second.)
+    A drift acts in most of a recording: its grid begins at a tenth of it. (Robot brakes: 0.34 s of
+    10 s for a KUKA. From a twentieth on, two of its axes had a friction that falls to a quarter
+    within half a second.) A number at its limit says nothing, so the limit lies below the grid: at
+    the smallest size that is stated a time constant of a tenth comes out within 7 %.
     """
-    return 0.1 * facts.scale.seconds, 5.0 * facts.scale.seconds
+    return 0.07 * facts.scale.seconds, 5.0 * facts.scale.seconds
 
 
 def resonance(facts: Facts, hertz: float, share: float) -> float:
