@@ -81,6 +81,19 @@ def test_the_tail_of_a_stribeck_curve_is_chosen(decided: Decided) -> None:
     assert found.parameters["breakaway"].value == pytest.approx(0.05, rel=0.1)
 
 
+def test_friction_that_falls_with_speed_is_found_upon_one_with_a_level_for_each_direction(
+    decided: Decided,
+) -> None:
+    """It was a drag: no search tried a Stribeck curve upon such a friction."""
+    each = reality.effect("coulomb_asymmetry", level_pos=0.03, level_neg=0.03)
+    d = decided(reality.Machine(breakaway=0.05, stribeck=0.2), None, KNOWN[0], each)
+    (found,) = d.findings
+    assert found.effect == "stribeck"
+    # the levels contain no breakaway: it is what the friction is more at rest
+    assert found.parameters["breakaway"].value == pytest.approx(0.02, rel=0.1)
+    assert found.parameters["velocity"].value == pytest.approx(0.2, rel=0.1)
+
+
 @pytest.mark.parametrize("speed", [0.08, 0.3])
 def test_all_friction_that_a_model_lacks_is_a_stribeck_curve_and_viscous(
     decided: Decided, speed: float

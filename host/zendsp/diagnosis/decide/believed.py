@@ -46,7 +46,7 @@ from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.physics.calibration.fit import joint_handles
-from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.effects import get_effect, mechanism_of, stands_on
 from zendsp.physics.model import Model
 
 
@@ -250,7 +250,7 @@ def _hid(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> bool:
     of them stands upon it, as a doubted Stribeck curve does upon Coulomb friction.
     """
     others = (*decision.refinements, *decision.claims)
-    upon = any(claim.effect in get_effect(c.term.effect).needs for c in others)
+    upon = any(stands_on(get_effect(c.term.effect), claim.effect) for c in others)
     if claim.mechanism not in STRUCTURED or upon or alone is decision.final:
         return False
     bare = structure(

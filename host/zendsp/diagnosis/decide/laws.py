@@ -48,7 +48,7 @@ from zendsp.diagnosis.progress import Progress
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.effects import get_effect, mechanism_of, stands_on
 from zendsp.physics.model import Model, Term
 
 
@@ -290,7 +290,7 @@ def _upon(ranked: Sequence[Piece], after: float) -> list[Piece]:
     for other in ranked[1:]:
         effect = get_effect(other.terms[0].effect)
         if (
-            set(largest.effects) & set(effect.needs)
+            any(stands_on(effect, name) for name in largest.effects)
             and not effect.hidden
             and _counts(other, largest, after)
         ):
@@ -304,7 +304,7 @@ def _one_with(first: Piece, other: Piece) -> bool:
     from the same other joint.
     """
     effect = get_effect(first.terms[0].effect)
-    return effect.coupled or not set(other.effects).isdisjoint(effect.needs)
+    return effect.coupled or any(stands_on(effect, name) for name in other.effects)
 
 
 def _counts(other: Piece, first: Piece, after: float) -> bool:

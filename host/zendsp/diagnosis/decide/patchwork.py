@@ -22,7 +22,7 @@ from zendsp.diagnosis.decide.thresholds import (
 )
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.significance import counterpart, deviation
-from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.effects import get_effect, mechanism_of, stands_on
 from zendsp.physics.model import Model, Term
 
 
@@ -34,8 +34,8 @@ def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...
     at = final.model.at(joint)
 
     def is_nothing(term: Term) -> bool:
-        needs = set(get_effect(term.effect).needs) - {term.effect}
-        upon = [t for t in at if t.effect in needs]
+        law = get_effect(term.effect)
+        upon = [t for t in at if t.effect != law.name and stands_on(law, t.effect)]
         sizes = [t.value(get_effect(t.effect).parameters[0].name) for t in (*upon, term)]
         return bool(upon) and max(sizes[:-1]) < max(FINEST * scale, BASE_LEFT * sizes[-1])
 
@@ -109,7 +109,7 @@ def bends(final: Scored, other: Claim, law: Claim, apart: bool) -> bool:
     one, more = get_effect(law.effect), get_effect(other.effect)
     waves = "order" in one.names and "order" in more.names
     settings = one is more and not all(p.fitted for p in one.parameters)
-    upon = one.coupled or bool(more.needs) or more.name in one.needs
+    upon = one.coupled or bool(more.needs) or stands_on(one, more.name)
     if waves or settings or upon or "timing" in (one.family, more.family):
         return False
     return (not apart or one is more) and not both_needed(final, law, other)

@@ -55,7 +55,7 @@ from zendsp.diagnosis.search.simplify import SIMPLER_COST, hopeless
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import own_weight
 from zendsp.physics.calibration.predict import run, trace
-from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.effects import get_effect, mechanism_of, stands_on
 from zendsp.physics.model import Model, Term, per_joint
 
 Array = npt.NDArray[np.float64]
@@ -164,7 +164,7 @@ def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -
         worst: tuple[float, Scored] | None = None
         for term in new:
             if any(
-                term.effect in get_effect(t.effect).needs
+                stands_on(get_effect(t.effect), term.effect)
                 for t in final.model.at(joint)
                 if t is not term
             ):

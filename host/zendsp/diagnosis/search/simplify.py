@@ -24,7 +24,7 @@ from zendsp.physics.calibration.convergence import step_error, with_step_error
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
 from zendsp.physics.calibration.joint import facts, off_counts, own_weight
 from zendsp.physics.calibration.terms import make_term
-from zendsp.physics.effects import get_effect, is_supported, library
+from zendsp.physics.effects import get_effect, is_supported, library, stands_on
 from zendsp.physics.effects.column_shift import least_shift
 from zendsp.physics.model import Model, Term
 
@@ -468,5 +468,5 @@ def hopeless(best: Scored, model: Model, joint: int, jobs: int) -> Scored | None
 
 def _needed_by(model: Model, term: Term) -> bool:
     return any(
-        term.effect in get_effect(t.effect).needs for t in model.at(term.joint) if t is not term
+        stands_on(get_effect(t.effect), term.effect) for t in model.at(term.joint) if t is not term
     )

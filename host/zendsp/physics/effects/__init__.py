@@ -8,9 +8,10 @@ from zendsp.physics.effects.catalogue import (
     library,
     load_effects,
     mechanism_of,
+    stands_on,
 )
 
 __all__ = [
     "MECHANISMS", "Effect", "Parameter", "get_effect", "is_supported", "laws_of", "library",
-    "load_effects", "mechanism_of", "unit_of",
+    "load_effects", "mechanism_of", "stands_on", "unit_of",
 ]

@@ -118,7 +118,7 @@ def laws_of(mechanism: str) -> tuple[str, ...]:
 
 
 def is_supported(effect: Effect, present: Collection[str]) -> bool:
-    """Whether a joint has what an effect needs, such as a column.
+    """Whether a joint has what an effect needs, see ``stands_on``.
 
     Parameters
     ----------
@@ -130,10 +130,34 @@ def is_supported(effect: Effect, present: Collection[str]) -> bool:
     -------
     bool
     """
+    had = {had for name in present for had in (name, get_effect(name).symmetric)}
     sites = {get_effect(name).site for name in present}
     return all(
-        need in present or bool(sites.intersection(SUPPORT.get(need, ()))) for need in effect.needs
+        need in had or bool(sites.intersection(SUPPORT.get(need, ()))) for need in effect.needs
     )
+
+
+def stands_on(effect: Effect, other: str) -> bool:
+    """Whether an effect needs another one by name, or the symmetric case of it.
+
+    Parameters
+    ----------
+    effect : Effect
+        The one that needs something.
+    other : str
+        Name of the other effect, or of none in the library.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> stands_on(get_effect("stribeck"), "coulomb_asymmetry")
+    True
+    """
+    had = library().get(other)
+    return other in effect.needs or (had is not None and had.symmetric in effect.needs)
 
 
 def load_effects(path: str | Path) -> list[Effect]:
