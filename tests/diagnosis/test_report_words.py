@@ -9,12 +9,20 @@ from typing import Any
 import pytest
 
 from zendsp.diagnosis import Diagnosis
-from zendsp.diagnosis.decide import findings, nothing_named
-from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted, dark, nearest
+from zendsp.diagnosis.decide import findings, notes, nothing_named
+from zendsp.diagnosis.decide.contract import (
+    Reason,
+    Rejected,
+    Verdict,
+    contradicted,
+    dark,
+    nearest,
+)
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.headline import percent, verdict_sentence, word_of
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.report import files, html
 from zendsp.diagnosis.report.summary import _sized, unnamed
 
@@ -179,3 +187,27 @@ def test_a_friction_that_is_not_surely_dry_is_not_called_so(
     """|v|^0.6 and a brake by eddy currents were "dry friction (unknown)", 93 %."""
     found = Finding("unknown", 1, {}, confidence, 1.0, (), (), "", mechanism=mechanism)
     assert found.word == word
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        (Structure(0.05, 0.8, 6.0, 9.0), "2.5 N m RMS (5 % of the torque) depends on the state of"),
+        (Structure(0.05, 0.35, 2.7, 5.4), "of which functions of the joint's state predict 35 %"),
+        (Structure(0.05, 0.31, 2.0, 4.4), "nor any function of the joint's state predicts"),
+    ],
+)
+def test_a_torque_over_time_alone_is_not_said_to_depend_on_the_state(
+    state: Structure, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two slow torques that no state made did, "5 %" and "22 % of the torque"."""
+    for also in ("_behind_another", "_hardly_moves", "_held"):
+        monkeypatch.setattr(notes, also, lambda *_: "")
+    left: Any = SimpleNamespace(
+        joint=1, kind=Verdict.UNEXPLAINED, searched=True, doubted=(), strap=(), near=None,
+        scale=50.0, state=state, after=Size(0.08, 0.07, 0.1),
+    )  # fmt: skip
+    given: Any = SimpleNamespace(torque_unit=lambda _: "N m")
+    words = notes._left_at(left, (left,), given, given)
+    assert said in words
+    assert ("depends on the state" in words) is (state.share > 0.5)

@@ -274,8 +274,9 @@ def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term 
     screen, effect = traces.screen, get_effect(name)
     key = _key(effect)
     record = screen.records[0]
-    points = [p for p in grid_of(effect, record, screen.model) if _is_named(effect, p, record)]
+    points = grid_of(effect, record, screen.model)
     points = points[:: max(1, len(points) // GRID)]
+    points = [point for point in points if _is_named(effect, point, record)]
     worst: tuple[float, dict[str, float]] | None = None
     for point in points:
         values, column = screen.least_seen(effect, point, traces.of)

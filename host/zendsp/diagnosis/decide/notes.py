@@ -10,8 +10,9 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict, listed, spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.decide.near import likeness, only_in_the_fit
+from zendsp.diagnosis.decide.pushes import predicts
 from zendsp.diagnosis.decide.result import Errors
-from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
+from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE, PREDICTED
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
@@ -280,10 +281,9 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
     if d.strap:
         what = f"{_torque(d, d.after.value, given)} stays unexplained"
         return f"Joint {d.joint}: {what}, a part of what pulls at {listed(d.strap)}"
-    if d.state.size > OF_STATE:
+    if d.state.size > OF_STATE and predicts(d.state):
         return (
-            f"Joint {d.joint}: a torque of {_torque(d, d.state.size, given)} depends on the state"
-            " of the joint"
+            f"Joint {d.joint}: a torque of {_of_state(d, given)}"
             + (f". {likeness(d.near)}" if d.near else " and is none of the known effects")
             + (_behind_another(decisions, given, d.joint) or _hardly_moves(fit, d.joint))
         )
@@ -319,6 +319,16 @@ def _torque(d: Decision, share: float, given: Model) -> str:
     """A part of a joint's torque in words, in its unit and in per cent."""
     size = two_digits(share * d.scale)
     return f"{size} {given.torque_unit(d.joint)} RMS ({percent(share)} % of the torque)"
+
+
+def _of_state(d: Decision, given: Model) -> str:
+    """The torque that functions of the state predict; the whole missing one where they predict the
+    smaller part of it, as 35 % of a slow torque over time alone.
+    """
+    if d.state.share < PREDICTED:
+        part = f"functions of the joint's state predict {percent(d.state.share)} %"
+        return f"{_torque(d, d.after.value, given)}, of which {part}, is missing"
+    return f"{_torque(d, d.state.size, given)} depends on the state of the joint"
 
 
 def _beside(d: Decision) -> float:
