@@ -67,12 +67,17 @@ def test_a_drift_with_the_least_time_constant_that_a_size_is_stated_for_is_named
     assert found.parameters["time_constant"].value == pytest.approx(least, rel=0.1)
 
 
+def _travels(far: float) -> Any:
+    return SimpleNamespace(joint=1, _facts=SimpleNamespace(scale=SimpleNamespace(position=far)))
+
+
 @pytest.mark.usefixtures("searched_once")
 def test_a_size_is_stated_only_where_a_search_may_end_and_upon_what_it_needs(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a ripple with fewer periods in the travel than a search takes a size was stated; and of a
-    Stribeck curve upon a friction with which no search tries one.
+    """A size was stated of a ripple with fewer periods in the travel than a search takes, of a
+    friction with less than one, which is a curve without a law, and of a Stribeck curve upon a
+    friction with which no search tried one.
     """
     limits = {"order": (20.0, math.inf), "time_constant": (0.6, 30.0)}
     monkeypatch.setattr(
@@ -83,6 +88,8 @@ def test_a_size_is_stated_only_where_a_search_may_end_and_upon_what_it_needs(
     at = {x.effect: x.at for x in (*d.detectable, *d.undetectable)}
     assert at["ripple"]["order"] >= 20.0
     assert at["gain_drift"]["time_constant"] > 0.6 * 1.02
+    uneven, record = get_effect("position_friction"), _travels(2.0)
+    assert [sizes._is_named(uneven, {"period": p}, record) for p in (1.9, 2.1)] == [True, False]
     assert "stribeck" in {x.effect for x in d.undetectable}
     assert {"ripple", "gain_drift", "dead_zone"} <= {x.effect for x in d.detectable}
 

@@ -26,6 +26,7 @@ from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import CLOCK
+from zendsp.diagnosis.decide.patchwork import part_of_a_wave
 from zendsp.diagnosis.decide.pieces import (
     dependence,
     finest,
@@ -214,15 +215,17 @@ def _key(effect: Effect) -> str:
 
 def _is_named(effect: Effect, point: dict[str, float], record: JointRecord) -> bool:
     """Whether a fit may end at these numbers and be named: within the limits of each, and off them
-    where the effect is nothing there. (Drifts were stated at the least time constant, at which
-    none of eight that were put in was named.)
+    where the effect is nothing there; a wave with a period within the travel. (A size was stated
+    at the least time constant of a drift, at which one of eleven that were put in was named, and
+    at a period of 1.6 times the travel, where a friction was a curve without a law.)
     """
     for name, value in point.items():
         low, high = parameter_bounds(effect.name, name, record)
         off = NEAR * value if name in essence_of(effect.name) else 0.0
         if not low + off <= value <= high - off:
             return False
-    return True
+    travel = facts(record).scale.position
+    return not part_of_a_wave(make_term(effect, record.joint, point), 0, travel)
 
 
 def _most(effect: Effect, records: Sequence[JointRecord]) -> float:

@@ -94,7 +94,7 @@ def slow_limits(facts: Facts) -> tuple[float, float]:
     A drift acts in most of a recording: its grid begins at a tenth of it. (Robot brakes: 0.34 s of
     10 s for a KUKA. From a twentieth on, two of its axes had a friction that falls to a quarter
     within half a second.) A number at its limit says nothing, so the limit lies below the grid: at
-    the smallest size that is stated a time constant of a tenth comes out within 7 %.
+    the smallest size that is stated a time constant of a tenth comes out within 8 %.
     """
     return 0.07 * facts.scale.seconds, 5.0 * facts.scale.seconds
 
