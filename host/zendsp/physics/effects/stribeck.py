@@ -26,7 +26,8 @@ EFFECT = Effect(
     parameters=(
         Parameter(
             "breakaway", "torque", lower=0, above="coulomb",
-            meaning="Fs, at rest; contains Fc, the level of the model's coulomb",
+            meaning="Fs, at rest; contains Fc, the level of the model's coulomb, but no"
+            " coulomb_asymmetry's",
         ),
         Parameter(
             "velocity", "speed", lower=1e-06, limits=lambda f: (2e-3 * f.fastest, 2.0 * f.fastest),
