@@ -126,6 +126,9 @@ def test_a_friction_that_is_found_may_creep_before_a_spring_is_believed_beside_i
     if creeps:  # it goes on from the friction, and no free number of the creep is claimed
         assert [s.chosen.effect for s in began[0].steps] == ["coulomb"]
         assert not any(q.free for q in beneath.terms[-1].parameters.values())
+    # a friction does not creep twice: a decision then took one away for ever (seed 1710, case 45)
+    crept = model_of(VISCOUS, COULOMB, CREEP)
+    assert one_joint._creeping_found(parts, crept, first, searcher, print) == (first, crept)
 
 
 @pytest.mark.parametrize("likelier", [True, False])

@@ -186,6 +186,8 @@ def _surely_shown(
         if not claimed or not unsure:
             return last
         final = min(unsure, key=lambda p: p.log_e).without
+        if len(new_terms(given, final.model, joint)) >= sum(map(len, new.values())):
+            return last  # what it had replaced is new, too
 
 
 def _makes_better(decision: Decision, test: Data) -> bool:

@@ -116,7 +116,8 @@ def _creeping_found(
     joint, jobs = first.joint, searcher.jobs
     laws = [(get_effect(t.effect), k) for k, s in enumerate(first.steps) for t in s.chosen.terms]
     at = next((k for law, k in laws if law.site == "dry"), None)
-    if at is None or not any(law.hidden for law, _ in laws):
+    creeps = any(t.effect == "creep" for t in beneath.at(joint))
+    if creeps or at is None or not any(law.hidden for law, _ in laws):
         return first, beneath
     soft = searcher.softened(first.steps[at].chosen.scored)
     if soft is None:
