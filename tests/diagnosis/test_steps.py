@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -270,7 +270,7 @@ def test_a_step_waits_for_a_second_that_is_not_contradicted_or_that_another_doub
 
     monkeypatch.setattr(forward, "is_white", lambda *_: False)
     monkeypatch.setattr(Rounds, "round", round_of)
-    monkeypatch.setattr(Rounds, "glance", lambda _, scored, __: 2.1 * scored.deviance)
+    monkeypatch.setattr(Rounds, "glance", lambda _, scored, *__: 2.1 * scored.deviance)
     monkeypatch.setattr(Searcher, "_best_first", lambda _, __, rivals: rivals)
     monkeypatch.setattr(forward, "_simplest_sufficient", lambda rivals, _: rivals)
     searcher = Searcher(data, 1, accept, 1, print)
@@ -280,6 +280,34 @@ def test_a_step_waits_for_a_second_that_is_not_contradicted_or_that_another_doub
         (waits, False), ("stiffness", True)
     ]
     assert asked[1] == {"gravity": -9000.0, "ripple": -18_000.0}[waits]
+
+
+@pytest.mark.parametrize(
+    ("behind", "waits"), [({}, ""), ({"gravity": 9000.0}, ""), ({"lag": 9000.0}, "ripple")]
+)
+def test_a_step_waits_only_for_another_one_that_is_worth_it(
+    behind: dict[str, float], waits: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind a spring of EMPS the friction over its travel promised most, and nothing behind that
+    friction: the same pair from its other side, whose round cost a seventh of the diagnosis.
+    """
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    model = model_of(VISCOUS, COULOMB)
+    searcher = Searcher(data_of(columns, model), 1, lambda *_, **__: True, 1, print)
+    gravity, ripple = (
+        Rival(law, 1, cast(Any, SimpleNamespace(deviance=at, model=model)), 0.0, (), ())
+        for law, at in (("gravity", -9000.0), ("ripple", -8000.0))
+    )
+
+    def glance(_: Rounds, scored: Any, __: Any, without: frozenset[str]) -> float:
+        more = [gain for law, gain in behind.items() if law not in without]
+        return float(scored.deviance - (max(more, default=0.0) if scored is ripple.scored else 0.0))
+
+    monkeypatch.setattr(Rounds, "glance", glance)
+    monkeypatch.setattr(Searcher, "_bent", lambda *_: False)
+    current: Any = SimpleNamespace(deviance=0.0)
+    found = searcher._waits(current, [gravity, ripple])
+    assert (found.effect if found else "") == waits
 
 
 def test_a_pair_is_compared_by_its_likeliest_hypotheses_whatever_their_order(
