@@ -138,7 +138,9 @@ def test_what_the_motion_predicts_is_no_disturbance(
 
     monkeypatch.setattr(pushes, "structure", predicted)
     as_calibrated = SimpleNamespace(model=None)
-    pushed: Any = SimpleNamespace(final=as_calibrated, base=as_calibrated, joint=1, state=state)
+    pushed: Any = SimpleNamespace(
+        final=as_calibrated, base=as_calibrated, joint=1, state=state, bursts=None
+    )
     parts: Any = SimpleNamespace(each=())
     assert pushes.of_the_motion(pushed, parts, False) is moved
     pushed.base = pushed.state = None  # of another model what the state predicts is asked anew

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -176,11 +177,11 @@ def test_a_diagnosis_that_is_ended_by_a_signal_says_so(tmp_path: Path, number: i
         env={**os.environ, "ZENDSP_PROGRESS": "lines"},
     ) as process:  # fmt: skip
         assert process.stderr is not None
-        next(line for line in process.stderr if line.startswith("3/6"))
-        process.send_signal(number)
+        next(line for line in process.stderr if line.startswith("1/6"))
+        process.send_signal(number)  # before a joint is done, of which there would be a report
         said = process.stderr.read()
     assert process.returncode == 130 and said.endswith("interrupted\n"), said
-    assert "it was at 3/6" in said and "Traceback" not in said
+    assert re.search("it was at [123]/6", said) and "Traceback" not in said
 
 
 def test_a_recording_that_takes_long_is_told_before_the_search() -> None:

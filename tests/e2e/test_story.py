@@ -188,7 +188,9 @@ def test_an_asymmetry_is_compared_as_the_sum_that_the_machine_has() -> None:
     finding = Finding("viscous_asymmetry", 1, numbers, 0.9, 0.8, (), ("viscous",), "")
     diagnosis = cast(
         Diagnosis,
-        SimpleNamespace(findings=(finding,), given=given, calibrated=given, improved=improved),
+        SimpleNamespace(
+            findings=(finding,), verdict="missing", given=given, calibrated=given, improved=improved
+        ),
     )
     truth = {
         "effect": "viscous_asymmetry",
