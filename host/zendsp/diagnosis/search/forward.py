@@ -152,21 +152,18 @@ class Searcher:
 
     def _waits(self, current: Scored, rivals: list[Rival]) -> Rival | None:
         """The step that waits for the next one where none passes by itself: the first likely one
-        that the recordings to choose by do not contradict and behind which another one is worth a
-        step, or else the first that another one more than doubles. Alone it was bent: a lag that
-        did a spring's work had 5 ms in place of 4.
+        that the recordings to choose by do not contradict, if another one is worth a step behind
+        it; where all are contradicted, the first that another one more than doubles. Alone it was
+        bent: a lag that did a spring's work had 5 ms in place of 4.
         """
         least = max(WORTH, LOOK_AHEAD * self.rounds.n)
         likely = [r for r in rivals if _gain(current, r) > least]
-        seen, alone = frozenset(r.effect for r in rivals[:GLANCE]), frozenset[str]()
-        for rival in likely:
-            if not self.accept(current, rival, waits=True):
-                continue
-            ahead = self.rounds.glance(rival.scored, seen - alone, alone)
-            if ahead < rival.scored.deviance - least:
-                return rival
-            alone |= {rival.effect}  # as the second of a pair it would be the same pair again
-        return next((r for r in likely if self._bent(current, r)), None)
+        plain = next((r for r in likely if self.accept(current, r, waits=True)), None)
+        if plain is None:
+            return next((r for r in likely if self._bent(current, r)), None)
+        seen = frozenset(r.effect for r in rivals[:GLANCE])
+        ahead = self.rounds.glance(plain.scored, seen)
+        return plain if ahead < plain.scored.deviance - least else None
 
     def _bent(self, current: Scored, rival: Rival) -> bool:
         """Whether a second step promises to gain more than this one did alone."""

@@ -145,17 +145,14 @@ class Rounds:
         terms = scored.model.terms[-1:]
         return Rival(ripple.name, self.joint, scored, price(terms, self.n), terms, ())
 
-    def glance(
-        self, current: Scored, seen: frozenset[str], without: frozenset[str] = frozenset()
-    ) -> float:
+    def glance(self, current: Scored, seen: frozenset[str]) -> float:
         """An estimate of the least deviance plus price with one more effect, from short fits of the
         most promising ones.
 
         Of effects with hidden states only those in ``seen`` are tried, which did well elsewhere in
-        this search; and none ``without`` which an estimate is asked for.
+        this search.
         """
-        options = [c for _, c in self.options(current) if c.effect not in without]
-        listed = [starts_of(c, current.data) for c in options[:GLANCE]]
+        listed = [starts_of(c, current.data) for _, c in self.options(current)[:GLANCE]]
         hidden = frozenset(e for e in seen if get_effect(e).scan)
         listed += (
             simulated(current.data, current.model, self.joint, hidden, self.jobs, self.given)
