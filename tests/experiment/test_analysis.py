@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -148,6 +149,24 @@ def test_friction_of_an_unknown_joint_is_the_line_that_it_reaches_at_high_speed(
     held = (np.abs(off) <= 1.0).mean(axis=0)
     assert held.min() >= 0.9
     assert np.std(off) > 0.15  # of the half width, 0.5 where the law is known: not far too wide
+
+
+def test_friction_that_would_drive_a_heavy_joint_is_its_weight_where_a_ripple_hides_how_it_changes(
+) -> None:
+    """A joint with 0.6 N m of friction, 9.3 N m of weight and a ripple of 0.9 N m had friction of
+    -8.61 ± 0.23 N m, and no weight.
+    """
+    rng, held = np.random.default_rng(5), 0
+    for _ in range(20):
+        joint = unknown_joint(rng, 0.0, 0.0)
+        phase = rng.uniform(0, 6)
+        more = 0.5 * np.sign(joint.speed) + 0.9 * np.sin(12 * joint.q + phase)
+        torque = joint.torque + more + 9.3 * np.cos(0.3 * joint.q)
+        found = _line(replace(joint, torque=torque), True)
+        levels = [found.value[way] for way in ("+", "-")]
+        assert all(level + half > 0.0 for level, _, half, _ in levels)
+        held += all(abs(level - 0.6) <= half for level, _, half, _ in levels)
+    assert held >= 18
 
 
 def test_each_part_of_a_move_has_the_speed_at_which_its_command_acts() -> None:

@@ -65,7 +65,7 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
             sliding = _record(bench, reference, joint)
             found = _line(sliding, all_joints[joint - 1].unit == "rad")
             if all_joints[joint - 1].unit != "rad":
-                found = _of_slide(found)
+                found = _even(found)
             curves[joint] = (sliding.points(found.free), found)
             _report(result, joint, all_joints[joint - 1].unit, found)
         result.recordings, result.target = bench.recordings, bench.where
@@ -112,7 +112,9 @@ def _line(sliding: Sliding, may_weigh: bool) -> Friction:
 
     A weight is two more coefficients; it is kept where chance would explain as much only once in a
     hundred times (F test). Friction that varies with place does so alike at every speed, so one
-    part of the way counts as one measurement.
+    part of the way counts as one measurement. A weight that is not kept is not excluded: all
+    numbers are as uncertain as beside it. Where friction would have to drive the joint, the way is
+    too short, or friction too uneven, to show how the weight changes: it is the same everywhere.
     """
     from scipy.special import fdtri
 
@@ -123,7 +125,15 @@ def _line(sliding: Sliding, may_weigh: bool) -> Friction:
     free = len(np.unique(sliding.part)) - 7
     without, within = plain.squares, found.squares
     more = free > 0 and (without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free
-    return found if more else replace(plain, weight_half=found.weight_half)
+    if not more:
+        value = {
+            way: (level, viscous, max(half, found.value[way][2]), max(dv, found.value[way][3]))
+            for way, (level, viscous, half, dv) in plain.value.items()
+        }
+        found = replace(plain, value=value, weight_half=found.weight_half)
+    both = (*plain.value.values(), *found.value.values())
+    drives = any(level + half < 0.0 for level, _, half, _ in both)
+    return _even(plain) if drives else found
 
 
 def _falling(sliding: Sliding, weighs: bool) -> Friction:
@@ -146,11 +156,10 @@ def _falling(sliding: Sliding, weighs: bool) -> Friction:
     return replace(whole, excess=best.excess)
 
 
-def _of_slide(found: Friction) -> Friction:
-    """Friction of a joint that slides.
-
-    Its weight is the same everywhere and cannot be told from a friction that is larger in one
-    direction; the difference of the directions is called weight.
+def _even(found: Friction) -> Friction:
+    """Friction of a joint whose weight is the same everywhere, as where it slides. That cannot be
+    told from a friction that is larger in one direction; the difference of the directions is called
+    weight.
     """
     level, _, half, _ = found.mean
     weight = 0.5 * (found.value["+"][0] - found.value["-"][0])
