@@ -223,8 +223,7 @@ def _told_over(d: Diagnosis, joint: int) -> Axis | None:
     moving = [a for a in told if a.variable in ("position", "velocity")]
     for finding in d.findings:
         if finding.joint == joint:
-            curve = finding.numbers.get("curve")
-            over = Axis(curve["variable"]) if curve is not None else axis_of(finding)
+            over = axis_of(finding)
             return moving[0] if moving and over not in told else over
     return next(iter(told), None)
 

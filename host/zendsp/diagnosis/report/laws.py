@@ -52,14 +52,20 @@ LARGEST_BAR = 0.99  # quantile used as the largest
 
 
 def axis_of(finding: Finding) -> Axis:
-    """The axis over which a finding is best seen; for a coupling the other joint's motion.
+    """The axis over which a finding is best seen; for a coupling the other joint's motion, for a
+    torque without a law that of its curve.
 
     Examples
     --------
     >>> said = {"from_joint": 2, "law": "coulomb"}
     >>> str(axis_of(Finding("coupling", 1, {}, 0.9, 1.0, (), (), "", said)))
     'velocity of joints 1 + 2'
+    >>> said = {"curve": {"variable": "position"}}
+    >>> str(axis_of(Finding("unknown", 1, {}, 0.9, 1.0, (), (), "", said)))
+    'position'
     """
+    if (curve := finding.numbers.get("curve")) is not None:
+        return Axis(curve["variable"])
     effect, other = finding.effect, finding.numbers.get("from_joint")
     if effect == "coupling" and other is not None:
         law = finding.numbers.get("law")
