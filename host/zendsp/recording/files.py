@@ -16,12 +16,13 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
+from zendsp.recording.formats.raw import upright
 from zendsp.recording.names import gather_vectors, listing
 from zendsp.recording.notes import Extra
 from zendsp.recording.own import CHECK, FORM, bad_description, checked, checksum
 from zendsp.recording.roles import Role, role_of
 from zendsp.recording.samples import ParameterChange, Samples
-from zendsp.recording.table import READERS, _upright, read_raw
+from zendsp.recording.table import READERS, read_raw
 from zendsp.recording.units import in_si
 
 Kind = TypeVar("Kind", bound=Samples)
@@ -155,7 +156,7 @@ def _own(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
 
 
 def _foreign(path: Path, raw: Raw, kind: type[Kind], asked: str | None) -> Kind:
-    columns, units, notes = in_si({n: _upright(v) for n, v in raw.columns.items()}, raw.units)
+    columns, units, notes = in_si({n: upright(v) for n, v in raw.columns.items()}, raw.units)
     columns, units = gather_vectors(columns, units)
     times = (
         n

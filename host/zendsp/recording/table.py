@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
-
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
+from zendsp.recording.formats.raw import upright
 from zendsp.recording.names import (
     FloatArray,
     gather_vectors,
@@ -250,7 +249,7 @@ def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
             if bare in raw.refused:
                 raise RecordingError(f"{path}: column {name!r} {raw.refused[bare]}")
     columns, in_units, notes = in_si(
-        {name: _upright(values) for name, values in raw.columns.items()}, raw.units
+        {name: upright(values) for name, values in raw.columns.items()}, raw.units
     )
     said = tuple(
         f"{name}: {qualified(name)!r} is no unit: it is read as part of the name, and the column in"
@@ -274,17 +273,6 @@ def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
 
 def _unit(units: Mapping[str, str], name: str) -> str:
     return units.get(name) or ", ".join(units_in(units, name))
-
-
-def _upright(values: FloatArray) -> FloatArray:
-    """The values with a row or column vector of MATLAB as one dimension, and a matrix that is wider
-    than high turned to samples by rows.
-    """
-    if values.ndim == 2 and 1 in values.shape:
-        return values.reshape(-1)
-    if values.ndim == 2 and values.shape[1] > values.shape[0]:
-        return np.ascontiguousarray(values.T)
-    return values
 
 
 def _equal(columns: Mapping[str, FloatArray]) -> bool:

@@ -22,6 +22,8 @@ Mask = npt.NDArray[np.bool_]
 
 OVER_PLACE = 14  # of a torque over the position
 CELLS = 100  # of the position: a joint was in one at other times, or not
+# s: an observer forgets within this (its poles at LACKING_BAND), so a shorter stay shows nothing
+LEAST_STAY = 2.0 / LACKING_BAND
 SAME_VISIT = 0.5  # s: nearer to a time is the same visit
 SMOOTHED = 1e-3  # of the mean square of the shapes
 
@@ -81,7 +83,7 @@ def other_visits(found: Bursts, parts: Sequence[Data], model: Model, joint: int)
             energy += float(lack @ lack)
             gained += float(lack @ lack - left @ left)
             seconds += float(again.sum()) * a.step
-    enough = seconds > 2.0 / LACKING_BAND and energy > 0.0
+    enough = seconds > LEAST_STAY and energy > 0.0
     return Visits(there / max(whole, 1e-300), gained / energy if enough else 0.0)
 
 

@@ -25,8 +25,7 @@ from zendsp.errors import RecordingError
 from zendsp.extras import need
 from zendsp.recording.formats.clocks import Series, on_one_clock
 from zendsp.recording.formats.hdf5 import ELSEWHERE, leads_out
-from zendsp.recording.formats.raw import Raw, check_room
-from zendsp.recording.names import FloatArray
+from zendsp.recording.formats.raw import Raw, check_room, upright
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
@@ -98,7 +97,7 @@ def _series(found: Raw) -> list[Series]:
     """The structures that have each a time of their own, where their rows differ in number: logs of
     several rates. Empty where a column is in none of them.
     """
-    columns = {name: _upright(values) for name, values in found.columns.items()}
+    columns = {name: upright(values) for name, values in found.columns.items()}
     times = {name for name in columns if CLOCK.search(name) and columns[name].ndim == 1}
     if len({len(values) for values in columns.values()}) < 2 or len(times) < 2:
         return []
@@ -111,13 +110,6 @@ def _series(found: Raw) -> list[Series]:
         names = [name] if len(parts) == 1 else [f"{name}[{k}]" for k in range(len(parts))]
         clocks[of].columns.update(zip(names, parts, strict=True))
     return list(clocks.values())
-
-
-def _upright(values: FloatArray) -> FloatArray:
-    """A vector of MATLAB with one dimension, a matrix with samples by rows."""
-    if values.ndim == 2 and 1 in values.shape:
-        return values.reshape(-1)
-    return values.T if values.ndim == 2 and values.shape[1] > values.shape[0] else values
 
 
 def _read_v5(path: Path) -> dict[str, Any]:

@@ -15,6 +15,17 @@ MEMORY = Path("/proc/meminfo")
 SHARE = 0.5  # of the free memory that one file may take: what is made of it takes as much again
 
 
+def upright(values: FloatArray) -> FloatArray:
+    """The values with a row or column vector of MATLAB as one dimension, and a matrix that is wider
+    than high turned to samples by rows.
+    """
+    if values.ndim == 2 and 1 in values.shape:
+        return values.reshape(-1)
+    if values.ndim == 2 and values.shape[1] > values.shape[0]:
+        return np.ascontiguousarray(values.T)
+    return values
+
+
 @dataclass(frozen=True)
 class Raw:
     """Named arrays as they are in the file.
