@@ -5,9 +5,8 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,12 +18,9 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import read_divided
-from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pieces import rubs
-from zendsp.diagnosis.decide.result import FitTable, Left, Workings
 from zendsp.diagnosis.external.asked import State
 from zendsp.diagnosis.external.columns import Columns, Parameters
-from zendsp.diagnosis.external.inner_body import without_parts
 from zendsp.diagnosis.external.inside import Inside
 from zendsp.diagnosis.external.numbers import as_given, expanded, folded
 from zendsp.diagnosis.external.rigid import BENT, Called
@@ -503,95 +499,3 @@ def test_ctrl_c_reaches_a_diagnosis_that_asks_its_simulator(tmp_path: Path) -> N
 
     with pytest.raises(KeyboardInterrupt):
         diagnose(train, model, test, jobs=1, progress=stop, so_far=True)
-
-
-TABLE = FitTable(3.0, 2.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Said:
-    """What of a diagnosis decides whether a body was taken for laws of joints."""
-
-    findings: tuple[Any, ...]
-    discrepancy: tuple[Left, ...]
-    verdict: Verdict = Verdict.MISSING
-    unexplained: str = ""
-    improved: str = "improved"
-    calibrated: str = "calibrated"
-    estimation: FitTable = TABLE
-    heldout: FitTable = TABLE
-    test: FitTable | None = None
-    next_recording: None = None
-    workings: Any = None
-
-
-def said(*effects: str, left: float = 0.04) -> Any:
-    findings = tuple(SimpleNamespace(effect=e, joint=j) for j, e in enumerate(effects, 1))
-    rest = tuple(Left(j, left, (0.9 * left, 1.1 * left)) for j in (1, 2))
-    return Said(findings, rest)
-
-
-def arm(free: bool) -> Model:
-    columns: dict[str, str | list[str]] = {"position": ["q1", "q2"]}
-    mechanism = {"a1": (Quantity(1.0, free),), "b1": (Quantity(0.0, free),)}
-    return Model("arm", H, "python", mechanism, columns=columns)
-
-
-def test_a_body_inside_a_simulator_is_no_law_of_its_joints() -> None:
-    """80 g at the tip of an FMU had become a torque gain of -36 %, an inertia and a coupling."""
-    wrong, right = said("inertia", "torque_gain"), said("coulomb", left=1e-4)
-
-    def alone(_model: Model) -> Any:
-        raise AssertionError("not asked again")
-
-    def freed(model: Model) -> Any:
-        assert all(q.free for items in model.mechanism.values() for q in items)
-        return said(left=1e-4)
-
-    assert without_parts(right, arm(free=False), alone) is right
-    gain = said("torque_gain", left=1e-4)
-    assert without_parts(gain, arm(free=False), alone) is gain, "it leaves nothing: it is right"
-    two = replace(gain, findings=(*gain.findings, SimpleNamespace(effect="inertia", joint=1)))
-    assert without_parts(two, arm(free=False), freed).findings == (), "two laws of one joint"
-    assert without_parts(two, arm(free=False), lambda _: two) is two
-    body = without_parts(wrong, arm(free=False), freed)
-    assert body.verdict == "unexplained" and body.findings == ()
-    assert "joints 1 and 2 is a wrong body" in body.unexplained and "a1" in body.unexplained
-    beside = without_parts(wrong, arm(free=False), lambda _: right)
-    assert beside.verdict == "missing" and beside.findings == right.findings
-    for ask, model in ((alone, arm(free=True)), (lambda _: wrong, arm(free=False))):
-        none = without_parts(wrong, model, ask)
-        assert none.verdict == "unexplained" and none.findings == ()
-        assert none.improved == "calibrated" and none.heldout.improved == 2.0
-
-
-def test_laws_beside_parts_of_a_body_are_claimed_only_where_they_leave_nothing() -> None:
-    """A payload of 0.5 kg on an FMU of two joints had been two gains, a Coulomb friction and a
-    function without a law.
-    """
-    both = said("torque_gain", "coulomb")
-    assert without_parts(both, arm(free=True), lambda _: both).findings == ()
-    here, there = both.discrepancy
-    right = replace(both, discrepancy=(here, replace(there, interval=(0.0, 1e-4))))
-    assert without_parts(right, arm(free=True), lambda _: right) is right
-
-
-def test_joints_that_lack_parts_of_a_body_are_said_to_though_no_law_is_named() -> None:
-    """A payload on an FMU of two joints had been two sentences that named none of its causes."""
-    none = replace(said(), verdict=Verdict.UNEXPLAINED, unexplained="Joint 1: a torque of 1 N m")
-
-    def lacking(*effects: str | None) -> Any:
-        decisions = [
-            SimpleNamespace(joint=j, kind=Verdict.UNEXPLAINED, near=e and SimpleNamespace(effect=e))
-            for j, e in enumerate(effects, 1)
-        ]
-        nothing: Any = None
-        d = replace(none, workings=Workings(nothing, decisions, nothing, nothing, nothing))  # type: ignore[arg-type]
-        return without_parts(d, arm(free=False), lambda _: d)
-
-    body = lacking("torque_gain", None)
-    assert body.verdict == "unexplained"
-    assert "joints 1 and 2 (torque_gain) may be parts of a wrong body" in body.unexplained
-    assert body.unexplained.endswith("Joint 1: a torque of 1 N m")
-    for effects in (("stiffness", None), ("torque_gain",)):  # a hose; one joint alone
-        assert lacking(*effects).unexplained == none.unexplained
