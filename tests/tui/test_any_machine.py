@@ -16,12 +16,19 @@ from steps import Until, nobody
 from textual.widgets import Select, Static
 
 from zendsp.link import Rehearsal, local, rehearse
-from zendsp.reference import UNPREDICTED, load_reference, make_reference, save_reference
+from zendsp.reference import (
+    UNPREDICTED,
+    Reference,
+    load_machine,
+    load_reference,
+    make_reference,
+    save_reference,
+)
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.link_port import LinkPort
 from zendsp.tui.playing import Setup
 from zendsp.tui.preflight import Condition, machine_of, preflight
-from zendsp.tui.preview import limits_of, peaks_of, views_of
+from zendsp.tui.preview import columns_of, limits_of, peaks_of, views_of
 from zendsp.tui.screens.reference import ReferenceScreen
 from zendsp.tui.snapshot import Snapshot, Variable
 from zendsp.tui.trial import Trial
@@ -155,10 +162,22 @@ def test_torque_that_is_not_predicted_is_neither_drawn_nor_zero() -> None:
     assert machine is not None
     reference = make_reference("multisine", machine, amplitude=0.1)
     assert machine.torque(reference) is None
-    assert "torque" not in views_of(reference, torque=False)
+    assert "torque" not in views_of(columns_of(machine, reference, None))
     lines = peaks_of(machine, reference, None)
     assert [line[0][1].strip() for line in lines] == ["position", "velocity", "acceleration"]
     assert lines[2][1][1].rstrip().endswith("– %"), "no share of a limit that nobody knows"
+
+
+def test_a_swing_shows_the_current_of_a_motor_whose_torque_constant_is_known() -> None:
+    pendulum, arm = load_machine("pendulum"), load_machine("imi_planar")
+    tau = np.array([[0.1762], [0.3524], [0.0]])
+    swing = Reference(np.zeros((3, 1)), 0.001, tau=tau, mode="torque")
+    columns = columns_of(pendulum, swing, pendulum.torque(swing))
+    assert columns["current"][1] == "A"
+    np.testing.assert_allclose(columns["current"][2], [[1.0], [2.0], [0.0]])
+    peak = peaks_of(pendulum, swing, pendulum.torque(swing))[-1][1][1]
+    assert peak.split() == ["2", "A", "44", "%"], "of the 0.8 N m that the motor may give"
+    assert "current" not in columns_of(arm, make_reference("circle", arm), np.zeros((3, 2)))
 
 
 async def test_the_reference_screen_begins_with_the_machine_of_the_target(

@@ -20,7 +20,6 @@ from zendsp.reference import (
     save_reference,
 )
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.preview import views_of
 from zendsp.tui.scope import Scope
 from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.reference import ReferenceScreen
@@ -58,12 +57,12 @@ async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Un
         assert screen.plan is not None
         screen.query_one("#curves", Scope).focus()
         seen = []
-        for _ in views_of(screen.plan.reference):
+        for _ in screen._views():
             await pilot.press("v")
             seen.append(screen.view)
             await pilot.pause()
             assert screen.query_one("#path", PathPlot).display == (screen.view == "path")
-        assert sorted(seen) == sorted(views_of(screen.plan.reference))
+        assert sorted(seen) == sorted(screen._views())
         await pilot.press("k")
         assert screen.query_one("#kind", Select).expanded
         await pilot.press("escape", "m")
@@ -74,7 +73,7 @@ async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Un
             pilot, lambda: screen.plan is not None and screen.plan.reference.joints == 7,
             "seven joints planned",
         )
-        assert "all" not in views_of(screen.plan.reference)
+        assert "all" not in screen._views()
         screen.view = "path"
         screen.refresh_plan()
         await pilot.pause()

@@ -181,6 +181,18 @@ class Machine:
             return reference.tau
         return self.dynamics.inverse(reference.q, reference.qd, reference.qdd)
 
+    def current(self, torque: Array) -> Array | None:
+        """The motor's current for a torque in N m, A, of the same shape; None where the machine
+        states no torque constant.
+
+        Examples
+        --------
+        >>> load_machine("pendulum").current(np.array([0.3524]))
+        array([2.])
+        """
+        k_a = self.parameters.get("k_a")
+        return None if k_a is None else np.asarray(torque, dtype=np.float64) / float(k_a)
+
     def find_violations(self, reference: Reference) -> list[Violation]:
         """Limits of this machine that a reference breaks, torque included where it is known; of
         each limit the share ``reference.headroom`` counts.

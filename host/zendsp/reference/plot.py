@@ -78,12 +78,17 @@ def plot_reference(
     planar = machine.kind == "planar2r"
     figure = ShownFigure(figsize=(11 if planar else 8, 8), layout="constrained")
     limits, unit = machine.limits, reference.unit
-    motion = (
+    torque = machine.torque(reference)
+    current = None if torque is None else machine.current(torque)
+    most = machine.current(limits.torque)
+    motion = [
         (reference.q, limits.position_min, limits.position_max, f"q [{unit}]"),
         (reference.qd, -limits.speed, limits.speed, f"qd [{unit}/s]"),
         (reference.qdd, -limits.acceleration, limits.acceleration, f"qdd [{unit}/s²]"),
-        (machine.torque(reference), -limits.torque, limits.torque, "tau [N m]"),
-    )
+        (torque, -limits.torque, limits.torque, "tau [N m]"),
+    ]
+    if most is not None:
+        motion.append((current, -most, most, "i [A]"))
     shown = motion[:1] + motion[3:] if reference.jumps else motion  # a step has no speed
     rows = [(x, low, high, label) for x, low, high, label in shown if x is not None]
     grid = figure.add_gridspec(

@@ -14,42 +14,49 @@ from zendsp.tui.scope import Channel, History, Scope
 from zendsp.tui.scope.path import Axes, Curve
 
 Floats = npt.NDArray[np.float64]
-QUANTITIES = ("position", "velocity", "acceleration", "torque")
+Columns = dict[str, tuple[str, str, Floats]]  # of a quantity: name, unit, and values of each joint
 
 
-def views_of(reference: Reference, tall: bool = True, torque: bool = True) -> list[str]:
-    """The views of a reference: all quantities at once for one or two joints where there is room,
-    else one quantity each; torque where it is known.
+def columns_of(machine: Machine | None, reference: Reference, tau: Floats | None) -> Columns:
+    """What a reference can be shown as: its motion; the torque ``tau`` where it is known, and the
+    motor's current where the machine's torque constant is.
     """
-    every = ["all"] if reference.joints <= 2 and tall else []
-    return [*every, *(q for q in QUANTITIES if torque or q != "torque"), "path"]
-
-
-def _columns(reference: Reference, tau: Floats | None) -> dict[str, tuple[str, str, Floats]]:
     u = reference.unit
-    motion = {
+    columns = {
         "position": ("q", u, reference.q),
         "velocity": ("qd", f"{u}/s", reference.qd),
         "acceleration": ("qdd", f"{u}/s²", reference.qdd),
     }
-    return motion if tau is None else {**motion, "torque": ("tau", _effort(u), tau)}
+    if tau is not None:
+        columns["torque"] = ("tau", _effort(u), tau)
+        current = machine.current(tau) if machine is not None else None
+        if current is not None:
+            columns["current"] = ("i", "A", current)
+    return columns
+
+
+def views_of(columns: Columns, tall: bool = True) -> list[str]:
+    """The views of a reference: all quantities at once for one or two joints where there is room,
+    else one quantity each; and the path.
+    """
+    joints = columns["position"][2].shape[1]
+    every = ["all"] if joints <= 2 and tall else []
+    return [*every, *columns, "path"]
 
 
 def _effort(unit: str) -> str:
     return {"rad": "N m", "m": "N"}.get(unit, "N m or N")
 
 
-def curves_of(scope: Scope, reference: Reference, tau: Floats | None, view: str) -> None:
-    """Put a reference on a scope that is not live. ``tau`` is None where no torque is predicted."""
-    chosen = _columns(reference, tau)
-    if view != "all":
-        chosen = {view: chosen[view]}
-    channels, columns = [], []
+def curves_of(scope: Scope, columns: Columns, reference: Reference, view: str) -> None:
+    """Put a reference, as these columns, on a scope that is not live."""
+    chosen = columns if view == "all" else {view: columns[view]}
+    channels, shown = [], []
     for name, unit, values in chosen.values():
         for joint in range(reference.joints):
             channels.append(Channel(f"{name}{joint + 1}", unit))
-            columns.append(values[:, joint])
-    data = np.stack(columns, axis=1)[:, :8]
+            shown.append(values[:, joint])
+    data = np.stack(shown, axis=1)
     history = History(data.shape[1], rows=len(data) + 1)
     history.append(np.arange(len(data)), data, reference.sample_time)
     scope.settings = replace(
@@ -65,12 +72,13 @@ def limits_of(machine: Machine) -> dict[str, list[float]]:
     def known(*values: Floats) -> list[float]:
         return sorted({float(v) for v in np.concatenate(values) if np.isfinite(v)})
 
-    u = machine.unit
+    u, most = machine.unit, machine.current(lim.torque)
     return {
         u: known(lim.position_min, lim.position_max),
         f"{u}/s": known(lim.speed, -lim.speed),
         f"{u}/s²": known(lim.acceleration, -lim.acceleration),
         _effort(u): known(lim.torque, -lim.torque),
+        "A": [] if most is None else known(most, -most),
     }
 
 
@@ -91,13 +99,14 @@ def peaks_of(
     low, high = lim.position_min, lim.position_max
     half = 0.5 * (high - low)
     lines = []
-    for name, (_, unit, values) in _columns(reference, tau).items():
+    for name, (_, unit, values) in columns_of(machine, reference, tau).items():
         if reference.jumps and name in ("velocity", "acceleration"):
             continue
         limit = {
             "position": half, "velocity": lim.speed, "acceleration": lim.acceleration,
-            "torque": lim.torque,
+            "torque": lim.torque, "current": machine.current(lim.torque),
         }[name]
+        assert limit is not None  # a current is shown where its limit is known, too
         parts: list[tuple[float, str]] = [(0.0, f"{name:<13}")]
         for joint in range(min(reference.joints, len(limit))):
             peak = float(np.abs(values[:, joint]).max())

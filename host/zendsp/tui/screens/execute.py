@@ -27,7 +27,7 @@ from zendsp.tui.panels.table import ListTable
 from zendsp.tui.play_job import PlayJob, usual_channels
 from zendsp.tui.playing import Setup
 from zendsp.tui.preflight import Condition, machine_of, preflight
-from zendsp.tui.preview import curves_of, limits_of, views_of
+from zendsp.tui.preview import columns_of, curves_of, limits_of, views_of
 from zendsp.tui.runs import Outcome
 from zendsp.tui.scope import Channel, Scope
 from zendsp.tui.screens.analysis import existing
@@ -191,11 +191,11 @@ class ExecuteScreen(MeasureActions):
             reference = self.references[0]
             machine = machine_of(self.lab.session.snapshot)
             if machine is not None and machine.joints == reference.joints:
-                tau = machine.torque(reference)
-                curves_of(scope, reference, tau, views_of(reference, tall=not self.small)[0])
+                columns = columns_of(machine, reference, machine.torque(reference))
+                curves_of(scope, columns, reference, views_of(columns, tall=not self.small)[0])
                 scope.limits = limits_of(machine)
             else:
-                curves_of(scope, reference, None, "position")
+                curves_of(scope, columns_of(None, reference, None), reference, "position")
                 scope.limits = {}
         scope.empty_text = self._what_next()
         scope.redraw()

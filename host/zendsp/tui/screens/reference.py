@@ -28,7 +28,15 @@ from zendsp.reference import (
 )
 from zendsp.tui.actions import bindings
 from zendsp.tui.dialogs import Choose, Field, Form, Option, not_empty
-from zendsp.tui.preview import curves_of, limits_of, path_of, peaks_of, views_of
+from zendsp.tui.preview import (
+    Columns,
+    columns_of,
+    curves_of,
+    limits_of,
+    path_of,
+    peaks_of,
+    views_of,
+)
 from zendsp.tui.scope import Scope
 from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.base import WIDE
@@ -119,17 +127,16 @@ class ReferenceScreen(ReferenceForm):
         if self.view == "path":
             path.show(*path_of(self.machine, plan.reference))
         else:
-            curves_of(scope, plan.reference, plan.tau, self.view)
+            curves_of(scope, self._columns(plan), plan.reference, self.view)
             scope.limits = limits_of(self.machine)
         self.query_one("#check", Static).update(self._check(plan))
         self.query_one("#save", Button).disabled = bool(plan.violations)
 
+    def _columns(self, plan: Plan) -> Columns:
+        return columns_of(self.machine, plan.reference, plan.tau)
+
     def _views(self) -> list[str]:
-        return (
-            views_of(self.plan.reference, not self.small, self.plan.tau is not None)
-            if self.plan is not None
-            else []
-        )
+        return views_of(self._columns(self.plan), not self.small) if self.plan is not None else []
 
     def on_resize(self) -> None:
         self.refresh_plan()
