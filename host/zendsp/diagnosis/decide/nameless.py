@@ -76,7 +76,8 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
     """A friction without a law as dry or fluid, by the variables that predict it beside what
     calibration absorbed: fluid where no step at standstill is needed, which reversals show. A
     steep rise looks like a step, and a soft step like none, so neither is sure. Unchanged where its
-    own law, though not named, leaves nothing.
+    own law, though not named, leaves nothing, or predicts more than any function of the other
+    friction's variables does.
     """
     if claim.effect != "unknown" or claim.mechanism not in FRICTION:
         return claim
@@ -85,9 +86,12 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
     if _has_memory(claim, decision):
         return claim
     model, joint = decision.base.model, decision.joint
-    of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
-    steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY] and not _rises(given, decision)
+    of = {m: structure(parts.each, model, joint, [m, TAKEN]) for m in FRICTION}
+    steps = of[FLUID].size < (1.0 - LAW_ERROR) * of[DRY].size and not _rises(given, decision)
     name = DRY if steps else FLUID
+    law_predicts = 1.0 - (decision.bare.value / claim.size) ** 2  # of the missing energy
+    if claim.term.effect != "unknown" and law_predicts > of[name].share:
+        name = claim.mechanism
     claim = replace(claim, most=min(claim.most, STEEP if name == DRY else SOFT))
     if name == claim.mechanism:
         return claim
