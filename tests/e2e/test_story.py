@@ -128,6 +128,23 @@ def test_an_update_carries_the_improved_model_into_the_running_program() -> None
     assert "comp_quadratic_drag1_coefficient" in sources(given)["compensation.h"]
 
 
+def test_a_payload_goes_into_the_numbers_of_an_arm_that_has_no_links() -> None:
+    from zendsp.demo.controller import bearing
+
+    stage = get_stage("imi_planar")
+    given = nominal_model(stage, (4e-5, 4e-5), 0.001)
+    numbers = {"mass": 2.0, "com_x": 0.25, "com_y": 0.0, "com_z": 0.0, "inertia": 0.0}
+    load = Term("payload", 2, {name: Quantity(value) for name, value in numbers.items()})
+    improved = given.with_terms((*given.terms, load))
+    update = plan_update(given, improved, ["model_p1", "model_p2", "model_p3"])
+    more = {"model_p1": 2.0 * (0.36**2 + 0.25**2), "model_p2": 0.125, "model_p3": 2.0 * 0.36 * 0.25}
+    for name, value in more.items():
+        bare = given.mechanism[name.removeprefix("model_")][0].value
+        assert update.values[name] == pytest.approx(bare + value)
+    assert not update.left_out
+    assert 2 in bearing(given, improved, stage.work(stage.plan), stage.Kp)
+
+
 def test_a_synchronous_update_of_the_true_physics_lowers_the_tracking_error() -> None:
     from zendsp.demo.evidence import compare_tracking
 

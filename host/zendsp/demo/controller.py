@@ -19,7 +19,7 @@ from zendsp.physics.codegen.terms import compensable, why_not
 from zendsp.physics.effects import library
 from zendsp.physics.model import TREES, Model, Quantity, Term
 from zendsp.physics.robots.bodies import body_terms
-from zendsp.physics.simulation.plant import tree_of
+from zendsp.physics.simulation.plant import tree_of, with_bodies
 from zendsp.physics.term_numbers import kernel_model
 from zendsp.reference import Reference
 
@@ -118,6 +118,7 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
     values: dict[str, float | list[float]] = {}
     left_out: list[Term] = []
     joints: set[int] = set()
+    improved = with_bodies(improved)
     if given.kind in TREES:
         values |= _bodies(improved)
     had = _labelled(given.terms, "model")
@@ -172,11 +173,11 @@ def bearing(
     tuple of int
         Empty where both have the same bodies.
     """
-    if given.kind not in TREES or not body_terms(improved):
+    if not body_terms(improved):
         return ()
     rows = slice(None, None, 10)
     q, qd, qdd = motion.q[rows], motion.qd[rows], motion.qdd[rows]
-    carried = improved.with_terms(body_terms(improved))
+    carried = with_bodies(improved.with_terms(body_terms(improved)))
     bare = given.with_terms(body_terms(given))
     torque = inverse_dynamics(carried, q, qd, qdd) - inverse_dynamics(bare, q, qd, qdd)
     error = np.sqrt(np.mean(torque**2, axis=0)) / np.asarray(stiffness)

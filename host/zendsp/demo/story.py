@@ -35,6 +35,7 @@ from zendsp.errors import Refused
 from zendsp.link import Target
 from zendsp.link.concealed import Truth
 from zendsp.physics.files.model_write import model_text
+from zendsp.physics.model import TREES
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.texts import counted
@@ -208,7 +209,12 @@ def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrato
             f" {with_std(refit.value, refit.std, refit.unit)} refitted"
         )
     held = told.diagnosis.heldout
-    better = held.calibrated < held.given if told.calibrated else held.improved < held.calibrated
+    # numbers of a model without links take a body up: calibration alone is as good
+    carried = told.diagnosis.given.kind not in TREES and any(map(of_body, told.diagnosis.findings))
+    if told.calibrated or carried:
+        better = max(held.calibrated, held.improved) < held.given
+    else:
+        better = held.improved < held.calibrated
     # a torque without a law may be beyond what a model file can say
     lawful = bool(told.refits) or any(f.effect != "unknown" for f in told.diagnosis.findings)
     bent = " (bent by what it lacks)" if held.calibrated > held.given else ""
