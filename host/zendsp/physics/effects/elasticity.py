@@ -62,7 +62,10 @@ EFFECT = Effect(
     sentence=(
         "Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia}."
     ),
-    experiment="Chirp or multisine around the resonance; steps and listen to the ringing.",
+    experiment=(
+        "Chirp or multisine around the resonance; steps and listen to the ringing. A base that"
+        " rocks looks the same: brace it and record again."
+    ),
     equation="k (qm - ql) + c (q̇m - q̇l)",
     over="acceleration",
     scan=_starts,
