@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import reality
 from reality import FAST
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
+from zendsp.diagnosis.decide import fast_ripple
 from zendsp.diagnosis.decide.fast_ripple import finding_of, fine_ripples
+from zendsp.diagnosis.decide.findings import Estimate
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.search.hypothesis import JointSearch
 
@@ -33,6 +37,19 @@ def test_motor_cogging_behind_a_gear_is_found_beyond_the_grid_of_the_screen(
     for ripple in found:
         assert ripple.term.value("order") == pytest.approx(97.0, abs=0.3)
         assert ripple.term.value("amplitude") == pytest.approx(amplitude, rel=0.1)
+
+
+@pytest.mark.parametrize(("std", "surely"), [(0.025, False), (0.0031, True)])
+def test_a_ripple_whose_amplitude_may_be_nothing_is_none(
+    std: float, surely: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a supply's limit 0.066 ± 0.025 N m at 1824.0 ± 2.0 times a turn, of a phase known to
+    2.6 rad, stood with a confidence of 0.9. Ripples of real machines have 9 and 21 deviations.
+    """
+    amplitude = {"amplitude": Estimate(0.066, std, "N m")}
+    monkeypatch.setattr(fast_ripple, "estimates", lambda *_: amplitude)
+    fitted: Any = SimpleNamespace(model=SimpleNamespace(terms=(None,)))
+    assert fast_ripple._surely(fitted) is surely
 
 
 def test_a_ripple_of_another_phase_in_each_recording_keeps_its_amplitude() -> None:

@@ -87,7 +87,10 @@ def fine_ripples(train: Data, test: Data, search: JointSearch, jobs: int) -> lis
         # a transmission error with as many periods a turn makes such a torque
         if displaced is not None and compare(displaced, turned, test, joint).gain <= 0.0:
             break
-        found.append(_passing(search, current, after, _one_by_one(after, joint, jobs)))
+        alone = _one_by_one(after, joint, jobs)
+        if not alone and not _surely(after.fit):
+            break
+        found.append(_passing(search, current, after, alone))
         current = after
     return found
 
@@ -162,6 +165,14 @@ def _rephased(after: Scored, held: Data, joint: int, index: int, jobs: int) -> S
             best = result.cost, result
     assert best is not None
     return replace(after, fit=best[1])
+
+
+def _surely(fitted: Fit) -> bool:
+    """Whether the amplitude of the last term is surely not zero: what a fast observer leaves can
+    follow a wave for a while by chance, and then no phase fits all of it.
+    """
+    amplitude = estimates(fitted, fitted.model.terms[-1], "rotary", "")["amplitude"]
+    return amplitude.value >= SURE * amplitude.std
 
 
 def _one_by_one(after: Scored, joint: int, jobs: int) -> list[Fit]:
