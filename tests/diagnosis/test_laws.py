@@ -346,6 +346,26 @@ def test_the_actuator_is_not_blamed_for_torque_that_its_command_must_balance(
     assert (claim is not None and claim.mechanism == "actuator") is claimed
 
 
+@pytest.mark.parametrize(("of_command", "claimed"), [(0.77, True), (0.95, False)])
+def test_an_actuator_that_may_not_be_blamed_is_no_rival_of_a_torque_over_position(
+    of_command: float, claimed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A wave of one period in the travel was 16 % of a joint's torque, and no mechanism: in slow
+    motion the command is a function of the position, too.
+    """
+    of = {"position_torque": (0.157, 0.8), "actuator": (0.153, of_command)}
+
+    def predicted(_parts: Any, _model: Any, _joint: int, by: Sequence[str], _: bool) -> Structure:
+        return Structure(*of.get(by[0], (0.0, 0.0)), 7.3)
+
+    monkeypatch.setattr(nameless, "structure", predicted)
+    base, size = SimpleNamespace(model=None), Size(0.19, 0.18, 0.2)
+    out: Any = SimpleNamespace(joint=2, base=base, before=size, state=Structure(0.162, 0.85, 7.9))
+    parts: Any = SimpleNamespace(each=())
+    claim = nameless.only_mechanism(parts, base.model, out, False)
+    assert (claim is not None and claim.mechanism == "position_torque") is claimed
+
+
 def test_the_uncertainty_of_an_inertia_is_at_least_the_difference_between_simulators(
     monkeypatch: pytest.MonkeyPatch
 ) -> None:

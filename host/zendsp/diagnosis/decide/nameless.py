@@ -47,12 +47,13 @@ def only_mechanism(parts: Parts, given: Model, out: Decision, turning: bool) -> 
     if best.z < SURE or best.size**2 < least or best.share < _least(order[0]):
         return None
     others = [m for m in order[1:] if m not in kind_of(order[0])]
-    rivals = [alone[others[0]]]
+    # the command follows whatever a joint bears, so an actuator is no rival unless it may be blamed
+    rivals = [alone[m] for m in others if alone[m].share >= _least(m)]
     if order[0] == "actuator":
         # in a loop the command follows a torque over two of them, such as place and direction
         pairs = combinations(others, 2)
         rivals += [structure(parts.each, base.model, joint, pair, turning) for pair in pairs]
-    if max(r.size for r in rivals) ** 2 > RIVAL * best.size**2:
+    if any(r.size**2 > RIVAL * best.size**2 for r in rivals):
         return None
     evidence = Evidence(0.0, best.z, np.zeros(1))
     term = Term("unknown", joint, {})
