@@ -407,4 +407,4 @@ def test_a_joint_without_data_to_choose_by_adds_nothing_to_the_cost(
     final = SimpleNamespace(model=None)
     both: Any = [SimpleNamespace(joint=j, final=final, claims=(1,)) for j in left]
     nothing: Any = None
-    assert joints._cost(nothing, ([], both, nothing)) == (2, pytest.approx(1.0))
+    assert joints._cost(nothing, both) == (2, pytest.approx(1.0))

@@ -142,6 +142,7 @@ class Decision:
     # joints at which one force between links pulls, where it pulls at this one
     strap: tuple[int, ...] = ()
     searched: bool = True  # not where the search was ended before this joint
+    given_up: Decision | None = None  # what was claimed before the whole machine spoke against it
 
 
 WORSE = "with it the whole machine predicts untouched recordings worse"
@@ -169,6 +170,7 @@ def unclaimed(decision: Decision, why: str = WORSE) -> Decision:
         alone=decision.base,
         lost=(*decision.lost, *lost),
         near=near,
+        given_up=decision,
     )
 
 

@@ -1,0 +1,85 @@
+"""Which joint's link, that no sensor sees, explains what another joint lacks."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.explain import joints
+
+GIVEN: Any = SimpleNamespace(terms=())  # in which every sensor shows its link
+
+
+class _Parts(SimpleNamespace):
+    """Recordings in which some joints' links are felt."""
+
+
+def _decision(joint: int, claims: int, given_up: Any = None) -> Any:
+    claim = SimpleNamespace(mechanism="transmission")
+    final = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
+    kind = Verdict.MISSING if claims else Verdict.UNEXPLAINED
+    return SimpleNamespace(
+        joint=joint, claims=(claim,) * claims, final=final, given_up=given_up, kind=kind
+    )
+
+
+def _explained(*decisions: Any) -> Any:
+    improved = SimpleNamespace(terms=(), with_terms=lambda _: improved)
+    return [None] * len(decisions), list(decisions), SimpleNamespace(improved=improved)
+
+
+@pytest.fixture
+def felt(monkeypatch: pytest.MonkeyPatch) -> dict[frozenset[int], tuple[Any, float]]:
+    """For the joints whose links are felt: the explanation, and its error. Filled by a test."""
+    answers: dict[frozenset[int], tuple[Any, float]] = {}
+    both = frozenset({1, 2})
+    monkeypatch.setattr(joints, "divided", lambda model: frozenset() if model is GIVEN else both)
+    monkeypatch.setattr(joints, "with_links", lambda _, __, felt: _Parts(choose=felt, felt=felt))
+    monkeypatch.setattr(joints, "with_bodies", lambda parts, _: parts)
+    monkeypatch.setattr(joints, "explain", lambda parts, *_: answers[parts.felt][0])
+
+    def cost(felt: frozenset[int], decisions: list[Any]) -> tuple[int, float]:
+        return sum(len(d.claims) for d in decisions), answers[felt][1]
+
+    monkeypatch.setattr(joints, "_cost", cost)
+    return answers
+
+
+def _ask(first: Any) -> tuple[Any, Any]:
+    parts: Any = _Parts(choose=frozenset(), felt=frozenset())
+    return joints.with_their_links(parts, parts, GIVEN, GIVEN, first, 1, lambda _: None)
+
+
+def test_a_link_that_explains_worse_does_not_hide_one_that_explains_better(felt: Any) -> None:
+    """The spring of joint 1 was two findings at joint 1 and a spring at joint 2, 0.86: joint 2's
+    link left one finding and a larger error, and nothing else was looked at.
+    """
+    first = _explained(_decision(1, 2), _decision(2, 1))
+    right = _explained(_decision(1, 2), _decision(2, 0))
+    felt[frozenset()] = first, -20.2
+    felt[frozenset({2})] = _explained(_decision(1, 0), _decision(2, 1)), -20.1
+    felt[frozenset({1})] = right, -20.8
+    felt[frozenset({1, 2})] = right, -20.8
+    parts, (_, decisions, _) = _ask(first)
+    assert parts.felt == frozenset({1}) and [len(d.claims) for d in decisions] == [2, 0]
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_a_link_is_felt_though_the_machine_was_worse_with_its_joint(
+    better: bool, felt: Any
+) -> None:
+    """A gap of 22 mrad at joint 1 was given up, since joint 2, which felt the motor of joint 1,
+    claimed a gap and an inertia of its own.
+    """
+    first = _explained(
+        _decision(1, 0, _decision(1, 1)), _decision(2, 0, _decision(2, 2))
+    )
+    felt[frozenset()] = first, -11.7
+    felt[frozenset({1})] = _explained(_decision(1, 1), _decision(2, 0)), -13.9 if better else -11.0
+    felt[frozenset({2})] = _explained(_decision(1, 0), _decision(2, 2)), -11.0
+    felt[frozenset({1, 2})] = felt[frozenset({1})]
+    _, (_, decisions, _) = _ask(first)
+    assert [len(d.claims) for d in decisions] == ([1, 0] if better else [0, 0])
