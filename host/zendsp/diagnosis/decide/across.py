@@ -296,7 +296,7 @@ def _of_many(parts: Parts, given: Model, search: JointSearch, rival: Rival, jobs
     """The evidence for a law of timing at one joint, on untouched recordings."""
     mechanism = mechanism_of(rival.effect)
     term = counterpart(rival.scored.model.at(rival.joint), rival.terms[0])
-    piece = piece_of(parts.test, given, rival.scored, mechanism, (term,), search.base, jobs)
+    piece = piece_of(parts.test, given, rival.scored, mechanism, (term,), (search.base,), jobs)
     at = (piece.size, piece.evidence, piece.log_e)
     return Claim(rival.effect, mechanism, term, *at, {rival.effect: 1.0}, (), (), ())
 

@@ -163,12 +163,12 @@ def _surely_shown(
     Beside a claim such a term is bent to what no law describes, and hides it; on other motions it
     may do anything. Friction that every machine has stays.
     """
-    joint, base = search.joint, search.base
+    joint, known = search.joint, (search.base, *(step.chosen.scored for step in search.steps))
     last: tuple[Scored, list[Piece], list[Piece]] | None = None
     while True:
         new = grouped(given, final.model, new_terms(given, final.model, joint))
         pieces = [
-            piece_of(parts.test, given, final, key[0], terms, base, jobs)
+            piece_of(parts.test, given, final, key[0], terms, known, jobs)
             for key, terms in new.items()
         ]
         pieces.sort(key=lambda p: -p.size)

@@ -274,7 +274,7 @@ def _ranked(
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
     if len(laws) == 1:
         return [replace(piece, terms=tuple(laws))]
-    each = [piece_of(test, given, final, piece.mechanism, (t,), base, jobs) for t in laws]
+    each = [piece_of(test, given, final, piece.mechanism, (t,), (base,), jobs) for t in laws]
     ranked = sorted(each, key=lambda p: -p.size)
     if ranked[0].size ** 2 < OWN_SHARE * piece.size**2:
         ranked.sort(key=lambda p: p is not each[0])

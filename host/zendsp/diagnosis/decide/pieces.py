@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
@@ -202,17 +203,19 @@ def piece_of(
     final: Scored,
     mechanism: str,
     terms: tuple[Term, ...],
-    base: Scored,
+    known: Sequence[Scored],
     jobs: int,
 ) -> Piece:
     """The piece of some terms of a joint: the cost of taking them away, on untouched recordings.
-    ``base``: the calibrated model. The others contain it, so none of them can fit worse. Nor is a
-    piece worth more than all of them: terms that cancel each other diverge when one is taken away.
-    (Among the laws of one mechanism the one that the others need most comes first.)
+    ``known``: the calibrated model, and others from the way to the final one. What contains one of
+    them cannot fit worse. Nor is a piece worth more than all of them: terms that cancel each other
+    diverge when one is taken away. (Among the laws of one mechanism the one that the others need
+    most comes first.)
     """
-    joint = terms[0].joint
+    joint, base = terms[0].joint, known[0]
     without = _without(given, final, joint, terms, jobs)
-    without = min(without, base, key=lambda scored: scored.deviance)
+    within = [k for k in known if _contains(without, k, given, joint)]
+    without = min((without, *within), key=lambda scored: scored.deviance)
     size = difference(test, without.model, final.model, joint)
     if size > RUN_AWAY and not _has_kin(given, final.model, mechanism, terms):
         whole = difference(test, base.model, final.model, joint)
@@ -226,6 +229,15 @@ def piece_of(
     if not _likely(test, piece) or _even(piece):
         return piece
     return replace(piece, slowly=heard_slowly(without, final, test, joint))
+
+
+def _contains(larger: Scored, smaller: Scored, given: Model, joint: int) -> bool:
+    """Whether a model has all laws of another one, heard by the same observer."""
+    heard = larger.data.bandwidth[joint - 1] == smaller.data.bandwidth[joint - 1]
+    has, needs = (
+        [t.effect for t in new_terms(given, s.model, joint)] for s in (larger, smaller)
+    )
+    return heard and not Counter(needs) - Counter(has)
 
 
 def _has_kin(given: Model, model: Model, mechanism: str, terms: Sequence[Term]) -> bool:
