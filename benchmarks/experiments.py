@@ -27,7 +27,7 @@ from zendsp.experiment.any_friction import friction
 from zendsp.experiment.imi_breakaway import static
 from zendsp.experiment.imi_friction import viscous
 from zendsp.experiment.lab import Bench
-from zendsp.experiment.pendulum_motor import electrical, mechanical
+from zendsp.experiment.mechanics import electrical, mechanical
 from zendsp.experiment.truth import FRICTION, TRUTH
 from zendsp.experiment.wam_friction import friction as wam_friction
 from zendsp.link import local
@@ -63,14 +63,14 @@ def _any(machine: str, joint: int) -> Callable[[Lab], Result]:
 
 
 EXPERIMENTS: dict[str, Repeated] = {
-    "imi-static": Repeated(
-        lambda lab: static(lab, PLACES), TRUTH["imi-static"], f"{PLACES} places a direction"
+    "breakaway": Repeated(
+        lambda lab: static(lab, PLACES), TRUTH["breakaway"], f"{PLACES} places a direction"
     ),
-    "imi-viscous": Repeated(viscous, TRUTH["imi-viscous"]),
-    "pendulum-electrical": Repeated(electrical, TRUTH["pendulum-electrical"]),
-    "pendulum-mechanical": Repeated(mechanical, TRUTH["pendulum-mechanical"]),
+    "high-speed": Repeated(viscous, TRUTH["high-speed"]),
+    "electrical": Repeated(electrical, TRUTH["electrical"]),
+    "mechanical": Repeated(mechanical, TRUTH["mechanical"]),
     **{
-        f"wam-friction, joint {joint}": Repeated(_wam(joint), TRUTH["wam-friction"])
+        f"wam-friction, joint {joint}": Repeated(_wam(joint), TRUTH["friction"])
         for joint in range(1, 8)
     },
     **{

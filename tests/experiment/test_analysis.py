@@ -14,7 +14,7 @@ from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.imi_breakaway import breakaway_torque, bristle_stiffness, pushed_way
 from zendsp.experiment.imi_fit import fit_curve
 from zendsp.experiment.imi_friction import inertia_torque
-from zendsp.experiment.pendulum_motor import delivered, fit_parameters, pendulum_model, steady_means
+from zendsp.experiment.mechanics import delivered, fit_parameters, pendulum_model, steady_means
 from zendsp.experiment.wam_friction import (
     Sliding,
     cannot_separate,

@@ -13,10 +13,10 @@ from zendsp.experiment.imi_breakaway import static
 from zendsp.experiment.imi_circle import circle, compensation_values
 from zendsp.experiment.imi_fit import fit
 from zendsp.experiment.imi_friction import low_speed, viscous
-from zendsp.experiment.pendulum_motor import electrical, mechanical
+from zendsp.experiment.mechanics import electrical, mechanical
 from zendsp.experiment.result import FoundEffect
+from zendsp.experiment.tracking import tracking
 from zendsp.experiment.wam_friction import friction
-from zendsp.experiment.wam_tracking import tracking
 from zendsp.physics import load_model
 from zendsp.recording import Recording
 
@@ -49,7 +49,7 @@ def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None
     fast = keep(lab, viscous(lab, speeds=(2.2, 3.5, 5.0)))
     assert fast.values["viscous1_ccw"].value == pytest.approx(5.3 * 1.02, rel=0.01)
     assert fast.values["level2_cw"].value == pytest.approx(2.35 * 1.04, rel=0.02)
-    push = Recording.load(next((folder / "imi-viscous").glob("joint2_+*.npz")))
+    push = Recording.load(next((folder / "high-speed").glob("joint2_+*.npz")))
     assert np.abs(push["q"][push["phase"] >= 2, 0]).max() < 0.02, "the other joint is held"
     assert np.abs(push["q"][:, 1]).max() < 2.15, "the pushed one is braked before its limit"
     slow = keep(lab, low_speed(lab, cycles=2))
@@ -152,23 +152,16 @@ def test_the_weight_of_a_slide_is_not_taken_for_friction(tmp_path: Path) -> None
         assert abs(found[name].value - true) < 3 * found[name].std < 0.3 * true, name
 
 
-def test_an_experiment_for_any_machine_asks_for_one(tmp_path: Path) -> None:
-    from zendsp.errors import Refused
-
-    with pytest.raises(Refused, match="is for any machine, and needs one"):
-        run_experiment("friction", Lab(tmp_path))
-
-
 @pytest.mark.long("tests/physics simulates, tests/target/test_model.py runs; lost: both in one")
 def test_machine_and_simulation_have_the_same_joint_error(tmp_path: Path) -> None:
     lab = Lab(tmp_path)
-    (tmp_path / "wam-friction").mkdir()
+    (tmp_path / "friction").mkdir()
     effects = [
         FoundEffect(t.effect, t.joint, {k: Estimate(q.value) for k, q in t.parameters.items()})
         for t in load_model(MODELS / "wam7.toml").terms
     ]
-    Result("wam-friction", "the published friction", "wam7", effects=effects).save(
-        tmp_path / "wam-friction" / "result.toml"
+    Result("friction", "the published friction", "wam7", effects=effects).save(
+        tmp_path / "friction" / "result.toml"
     )
     found = keep(lab, tracking(lab, joints=(4, 6), duration=4.0))
     for joint in (4, 6):
@@ -192,13 +185,13 @@ def test_a_recording_that_is_interrupted_is_kept_and_the_machine_stopped(tmp_pat
         target.acquire = lambda *args, **keys: real(*args, progress=interrupt, **keys)  # type: ignore[method-assign]
         with (
             pytest.raises(KeyboardInterrupt),
-            Lab(tmp_path, target).bench("pendulum", "any") as bench,
+            Lab(tmp_path, target).bench("mechanical") as bench,
         ):
             bench.record("long", "pendulum_torque.c", ["q", "tau"], seconds=2.0)
         assert target.status().drive == "stopped"
-    part = Recording.load(tmp_path / "any" / "long_ended.npz")
+    part = Recording.load(tmp_path / "mechanical" / "long_ended.npz")
     assert len(part) >= 400 and "KeyboardInterrupt" in part.note
-    assert not (tmp_path / "any" / "long.npz").exists()
+    assert not (tmp_path / "mechanical" / "long.npz").exists()
 
 
 def test_an_experiment_refuses_a_drive_that_takes_another_command(tmp_path: Path) -> None:
@@ -209,7 +202,7 @@ def test_an_experiment_refuses_a_drive_that_takes_another_command(tmp_path: Path
         zendsp.local("pendulum", clock="fast") as target,
         pytest.raises(Refused, match="command is a voltage, at joint 1 it is a torque"),
     ):
-        run_experiment("pendulum-electrical", Lab(tmp_path, target))
+        run_experiment("electrical", Lab(tmp_path, target))
 
 
 def test_a_run_that_is_interrupted_leaves_the_target_stopped(tmp_path: Path) -> None:
@@ -217,7 +210,7 @@ def test_a_run_that_is_interrupted_leaves_the_target_stopped(tmp_path: Path) -> 
 
     with zendsp.local("imi_planar", clock="fast") as target:
         lab = Lab(tmp_path, target)
-        with pytest.raises(KeyboardInterrupt), lab.bench("imi_planar", "any") as bench:
+        with pytest.raises(KeyboardInterrupt), lab.bench("friction") as bench:
             bench.target.download("pd.c")
             bench.target.start()
             raise KeyboardInterrupt
@@ -230,8 +223,8 @@ def test_an_experiment_refuses_another_machine_and_an_unknown_name(tmp_path: Pat
 
     with (
         zendsp.local("pendulum", clock="fast") as target,
-        pytest.raises(Refused, match="for the machine imi_planar"),
+        pytest.raises(Refused, match="needs the machine imi_planar"),
     ):
-        run_experiment("imi-static", Lab(tmp_path, target))
-    with pytest.raises(Refused, match="there are friction, imi-static"):
+        run_experiment("breakaway", Lab(tmp_path, target))
+    with pytest.raises(Refused, match="there are friction, breakaway"):
         run_experiment("nope", Lab(tmp_path))

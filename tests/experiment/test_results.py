@@ -20,7 +20,8 @@ MODELS = Path(__file__).parents[2] / "examples" / "models"
 
 
 def result() -> Result:
-    r = Result("imi-fit", "Friction", "imi_planar", target="imi_planar (simulated, fast clock)")
+    where = "imi_planar (simulated, fast clock)"
+    r = Result("friction-curve", "Friction", "imi_planar", target=where)
     r.values["level"] = Estimate(8.4, 0.1, "N m")
     r.effects = [FoundEffect("coulomb", 1, {"level": Estimate(np.float64(8.4), 0.1, "N m")})]
     r.mechanism = {"p1": Estimate(3.5, 0.01, "kg m^2")}
@@ -100,7 +101,7 @@ def test_what_cannot_go_into_a_model_is_refused(tmp_path: Path) -> None:
     model = tmp_path / "imi.toml"
     model.write_text((MODELS / "imi_planar.toml").read_text())
     with pytest.raises(ModelError, match="nothing that a model file holds"):
-        put_into(Result("imi-circle", "Circle", "imi_planar"), model)
+        put_into(Result("circle", "Circle", "imi_planar"), model)
     before = model.read_text()
     for machine, joints in (("wam7", 7), ("pendulum", 1)):
         with pytest.raises(
@@ -116,19 +117,19 @@ def test_what_cannot_go_into_a_model_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_can_go_into_a_model_is_checked_before_the_machine_moves() -> None:
-    assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == ["friction", "imi-fit"]
-    assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == ["friction", "wam-friction"]
+    assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == ["friction-curve"]
+    assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == ["friction"]
     with pytest.raises(
         ModelError,
-        match=r"finds nothing .* friction, imi-fit, pendulum-mechanical, wam-friction do",
+        match=r"finds nothing .* friction, friction-curve, mechanical do",
     ):
-        fit_model(["imi-circle"], MODELS / "imi_planar.toml")
+        fit_model(["circle"], MODELS / "imi_planar.toml")
     with pytest.raises(ModelError, match="has 2 joints and pendulum, which was measured, 1"):
-        fit_model(["pendulum-mechanical"], MODELS / "imi_planar.toml")
+        fit_model(["mechanical"], MODELS / "imi_planar.toml")
 
 
 def test_the_report_asks_for_what_is_missing(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="lacks imi-static"):
+    with pytest.raises(RecordingError, match="lacks breakaway"):
         write_report(tmp_path, tmp_path / "results.md")
     assert table(["a", "b"], [["1", "2"]]).splitlines() == ["| a | b |", "|---|---|", "| 1 | 2 |"]
 
@@ -151,9 +152,9 @@ def test_ctrl_c_names_a_folder_that_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(name: str, lab: Lab) -> None:
-        (lab.folder / "imi-static").mkdir(parents=True)  # another's, which this one begins with
+        (lab.folder / "breakaway").mkdir(parents=True)  # another's, which this one begins with
         raise KeyboardInterrupt
 
     monkeypatch.setattr("zendsp.experiment.run_experiment", interrupted)
-    shown = CliRunner().invoke(command, ["imi-fit", "--out", str(tmp_path / "runs")])
+    shown = CliRunner().invoke(command, ["friction-curve", "--out", str(tmp_path / "runs")])
     assert f"what was recorded is in {tmp_path / 'runs'}; the simulated" in shown.output

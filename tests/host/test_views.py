@@ -36,10 +36,10 @@ def _diagnosis() -> Diagnosis:
 
 
 def test_every_repr_is_one_line_that_a_person_can_read() -> None:
-    result = Result("imi-static", "Friction", "imi_planar", {"level": Measured(8.4, 0.1, "N m")})
+    result = Result("breakaway", "Friction", "imi_planar", {"level": Measured(8.4, 0.1, "N m")})
     recording = Recording.from_columns({"q": np.zeros(5)}, 1e-3, units={"q": "rad"})
     assert repr(_diagnosis()) == "<Diagnosis missing: coulomb at joint 1 (97 %); 2.0 s>"
-    assert repr(result) == "<Result imi-static on imi_planar: level 8.40 ± 0.10 N m>"
+    assert repr(result) == "<Result breakaway on imi_planar: level 8.40 ± 0.10 N m>"
     table = Table({"t": np.zeros(5), "q": np.zeros((5, 2))}, {"t": "s"}, path=Path("a/run.csv"))
     assert repr(table) == "<Table run.csv: t [s], q; 5 rows>"
     many = Table({f"channel {k}": np.zeros(5) for k in range(60)})

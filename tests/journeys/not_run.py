@@ -63,13 +63,13 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/diagnosis_rules.md", "python benchmarks/confidence.py CASES"): CLONE,
     (
         "docs/experiments.md",
-        "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
+        "zendsp experiment tracking -t wam --connect tls/robot.lab:7447",
     ): EXPERIMENT,
-    ("docs/experiments.md", "zendsp experiment imi-static"): (
+    ("docs/experiments.md", "zendsp experiment breakaway"): (
         "tests/experiment makes it; test_full_disk.py types it"
     ),
     ("docs/experiments.md", "zendsp experiment friction -t arm"): EXPERIMENT,
-    ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
+    ("docs/experiments.md", "zendsp experiment friction-curve --into my_imi.toml"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment all --report docs/results.md"): EXPERIMENT,
     ("docs/experiments.md", "from zendsp.experiment import Lab, run_experiment"): (
         "tests/experiment makes it in Python; test_slim_install.py types it"
@@ -138,9 +138,9 @@ NOT_RUN: dict[tuple[str, str], str] = {
     **{
         ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT
         for name in (
-            "all --report docs/results.md", "imi-static", "imi-viscous", "imi-low-speed",
-            "imi-fit", "imi-circle", "pendulum-electrical", "pendulum-mechanical",
-            "pendulum-swing", "wam-friction", "wam-tracking",
+            "all --report docs/results.md", "breakaway", "high-speed", "low-speed",
+            "friction-curve", "circle", "electrical", "mechanical",
+            "swing", "friction", "tracking",
         )
     },
 }

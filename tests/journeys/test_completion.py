@@ -48,7 +48,7 @@ def test_tab_completes_commands_targets_variables_and_programs(installed: Instal
 def test_tab_completes_machines_and_experiments(installed: Installed) -> None:
     assert _tab(installed, "zendsp", "target", "--machine", "i") == ["imi_planar"]
     assert _tab(installed, "zendsp", "demo", "--machine", "w") == ["wam7"]
-    assert _tab(installed, "zendsp", "experiment", "imi-f") == ["imi-fit"]
+    assert _tab(installed, "zendsp", "experiment", "friction-") == ["friction-curve"]
     assert _tab(installed, "zendsp", "diagnose", "--model", "wam") == ["wam7.toml"]
 
 

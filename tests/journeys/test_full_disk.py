@@ -88,7 +88,7 @@ def test_a_recording_is_kept_elsewhere(installed: Installed, full: Full) -> None
 def test_an_experiment_keeps_its_recording_elsewhere_and_ends_with_one_sentence(
     installed: Installed, full: Full
 ) -> None:
-    done = full("zendsp", "experiment", "imi-static", "--out", ".")
+    done = full("zendsp", "experiment", "breakaway", "--out", ".")
     assert done.returncode == 2, done.stdout + done.stderr
     said = one_sentence(done.stderr, "cannot be written", "No space left")
     assert rows(installed, kept(said)) > 100

@@ -72,7 +72,7 @@ def test_a_recording_that_cannot_be_written_there_is_written_elsewhere(
     assert done.returncode == 1 and "cannot be written" in done.stderr, done.stderr
     kept = Path(done.stderr.split("it is in ", 1)[1].split()[0])
     assert kept.name == "run.csv" and len(kept.read_text().splitlines()) > 100
-    for words in (("experiment", "imi-fit", "--out"), ("demo", "-o")):  # before the work
+    for words in (("experiment", "friction-curve", "--out"), ("demo", "-o")):  # before the work
         done = installed.run(*words, "file/folder")
         said = "zendsp: --out file/folder: cannot be made a folder (Not a directory): choose"
         assert done.returncode == 2 and done.stderr.startswith(said), done

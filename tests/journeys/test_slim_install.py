@@ -83,7 +83,7 @@ def test_the_demo_needs_no_extra(slim: Installed, machine: str, effect: str) -> 
 
 
 def test_an_experiment_needs_no_extra(slim: Installed) -> None:
-    made = slim.run("experiment", "pendulum-electrical")
+    made = slim.run("experiment", "electrical")
     assert made.returncode == 0, made.stdout + made.stderr
 
 

@@ -13,7 +13,10 @@ from zendsp.cli.completing import experiments
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
-    from zendsp.experiment import Result
+    from collections.abc import Sequence
+
+    from zendsp.experiment import Lab, Result
+    from zendsp_protocol.messages import MachineInfo
 
 
 @click.command("experiment")
@@ -37,6 +40,10 @@ if TYPE_CHECKING:
     help="A target with the machine. Default: a simulated one, started here, on the fast clock.",
 )
 @click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447.")
+@click.option(
+    "--model", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="Model file of the machine, for experiments that need one.",
+)
 @json_option
 def command(
     name: str | None,
@@ -45,56 +52,42 @@ def command(
     report: Path | None,
     target: str,
     connect: str | None,
+    model: Path | None,
     as_json: bool,
 ) -> None:
-    """Make the experiment NAME, or all of them; without NAME, list them.
+    """Make the experiment NAME, or all of them; without NAME, list them and what each needs.
 
     Moves the machine. Ctrl-C stops it at the next sample. Every recording is kept, also the one
     that Ctrl-C ends; the result is a TOML file that a model takes in. With --target, all means all
-    of that machine; of a machine without its own, those for any.
+    whose needs that machine meets; of each other one a line says what is lacking.
 
-    Example:  zendsp experiment imi-fit --into examples/models/imi_planar.toml
+    Example:  zendsp experiment friction-curve --into examples/models/imi_planar.toml
     """
-    from zendsp.cli.progress import stages
-    from zendsp.experiment import EXPERIMENTS, Lab, fit_model, put_into, run_experiment
+    from zendsp.experiment import EXPERIMENTS, Lab, fit_model
 
     if name is None:
         _list()
         return
     check_writable(out)
     end_softly()
-    names = [n for n, e in EXPERIMENTS.items() if e.machine] if name == "all" else [name]
-    takes = fit_model(names, into) if into is not None else []  # before the machine moves
-    opened = None
-    closing = contextlib.ExitStack()
-    if target or connect:
-        from zendsp.cli.common import open_target
+    names = list(EXPERIMENTS) if name == "all" else [_present(name)]
+    if into is not None and not (target or connect):
+        fit_model(names, into)  # before a machine is started
+    with contextlib.ExitStack() as closing:
+        opened = told = None
+        if target or connect:
+            from zendsp.cli.common import open_target
+            from zendsp.experiment.lab import told as machine_of
 
-        opened = closing.enter_context(open_target(target, connect, moves=True))
-        if name == "all":
-            own = [each for each in names if EXPERIMENTS[each].machine == opened.info.machine]
-            names = own or [each for each, e in EXPERIMENTS.items() if not e.machine]
-            for each in [each for each in names if EXPERIMENTS[each].command != "torque"]:
-                names.remove(each)
-                click.echo(
-                    f"{each} is left out: it commands a {EXPERIMENTS[each].command}, and needs a"
-                    " target of its own",
-                    err=True,
-                )
-    with closing:
-        for each in names:
-            try:
-                with stages(quiet=as_json) as tell:
-                    lab = Lab(out, opened, lambda text, each=each: tell(f"{each}: {text}"))  # type: ignore[misc]
-                    result = run_experiment(each, lab)
-            except KeyboardInterrupt:
-                ours = "" if opened else "; the simulated machine ended with it"
-                click.echo(f"{each}: ended early; what was recorded is in {out}{ours}", err=True)
-                raise
-            _print(result, out / each, as_json)
-            if into is not None and each in takes:
-                for change in put_into(result, into):
-                    click.echo(f"{into}: {change}", err=as_json)
+            opened = closing.enter_context(open_target(target, connect, moves=True))
+            if name == "all" or into is not None:
+                told = machine_of(opened)
+        if name == "all" and told is not None:
+            names = _fitting(names, told, model is not None)
+        takes = fit_model(names, into, told) if into is not None else []  # before it moves
+        labs = (Lab(out, opened, model=model) for _ in names)
+        for each, lab in zip(names, labs, strict=True):
+            _make(each, lab, into if each in takes else None, as_json)
     if report is not None:
         from zendsp.experiment.report import write_report
 
@@ -102,13 +95,53 @@ def command(
         click.echo(f"wrote {report}", err=as_json)
 
 
+def _present(name: str) -> str:
+    """The name that an experiment has now; a former one is told."""
+    from zendsp.experiment.names import present_name
+
+    now = present_name(name)
+    if now != name:
+        click.echo(f"{name} is called {now} now", err=True)
+    return now
+
+
+def _fitting(names: Sequence[str], machine: MachineInfo, has_model: bool) -> list[str]:
+    """Those whose needs the machine meets; of each other one a line says what is lacking."""
+    from zendsp.experiment import EXPERIMENTS
+
+    lacking = {name: EXPERIMENTS[name].lacking(machine, has_model) for name in names}
+    for name, why in lacking.items():
+        if why:
+            click.echo(f"{name} is left out: it {why}", err=True)
+    return [name for name, why in lacking.items() if not why]
+
+
+def _make(name: str, lab: Lab, into: Path | None, as_json: bool) -> None:
+    """Make an experiment, print its result, and put it into a model file."""
+    from zendsp.cli.progress import stages
+    from zendsp.experiment import put_into, run_experiment
+
+    try:
+        with stages(quiet=as_json) as tell:
+            lab.say = lambda text: tell(f"{name}: {text}")
+            result = run_experiment(name, lab)
+    except KeyboardInterrupt:
+        ours = "" if lab.target else "; the simulated machine ended with it"
+        click.echo(f"{name}: ended early; what was recorded is in {lab.folder}{ours}", err=True)
+        raise
+    _print(result, lab.folder / name, as_json)
+    if into is not None:
+        for change in put_into(result, into):
+            click.echo(f"{into}: {change}", err=as_json)
+
+
 def _list() -> None:
     from zendsp.experiment import EXPERIMENTS
 
     width = max(len(name) for name in EXPERIMENTS)
     for experiment in EXPERIMENTS.values():
-        head = f"{experiment.name:<{width}}  {experiment.machine or 'any':<10}  "
-        click.echo(wrapped(experiment.title, head))
+        needs = f"Needs: {experiment.needs.words()}."
+        click.echo(wrapped(f"{experiment.title} {needs}", f"{experiment.name:<{width}}  "))
 
 
 def _print(result: Result, folder: Path, as_json: bool) -> None:

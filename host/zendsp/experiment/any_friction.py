@@ -52,9 +52,9 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
     joints : tuple of int
         Which; default: all.
     """
-    result = Result("friction", "Friction of every joint", lab.machine)
+    result = Result("friction", "Friction of every joint", lab.machine_of("friction"))
     curves: dict[int, tuple[Array, Friction]] = {}
-    with lab.bench(None, result.name) as bench:
+    with lab.bench(result.name) as bench:
         place = bench.record("where_it_stands", PROGRAM, CHANNELS, seconds=0.2)["q"][-1]
         place = np.atleast_1d(place)
         all_joints = bench.target.machine().joints

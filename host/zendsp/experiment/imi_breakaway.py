@@ -45,11 +45,11 @@ def static(lab: Lab, count: int = 6) -> Result:
     The positions are drawn at random, because friction varies with place: only then does the spread
     of a few torques tell how far their mean may be from that of all places.
     """
-    result = Result("imi-static", "Static friction of the planar arm", MACHINE)
+    result = Result("breakaway", "Static friction of the planar arm", MACHINE)
     found: dict[tuple[int, int], list[tuple[float, float]]] = {}
     bristles: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
     early: dict[int, list[float]] = {1: [], 2: []}
-    with lab.bench(MACHINE, result.name) as bench:
+    with lab.bench(result.name) as bench:
         for joint in JOINTS:
             for direction in (1, -1):
                 places = lab.random.uniform(-REACH, REACH, count)

@@ -29,9 +29,9 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
     """The paper's test: a circle in 4.5 s, in four ways; and slower circles, whose error does not
     fall below a floor.
     """
-    curves = needed(lab, "imi-fit", fit)
+    curves = needed(lab, "friction-curve", fit)
     result = Result(
-        "imi-circle", "Circle under inverse dynamics, with and without friction compensation",
+        "circle", "Circle under inverse dynamics, with and without friction compensation",
         MACHINE,
     )
     machine = load_machine(MACHINE)
@@ -40,7 +40,7 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
     reference = make_circle(machine, radius=RADIUS, duration=DURATION)
     errors: dict[tuple[str, bool], Array] = {}
     floor: list[tuple[float, Array]] = []
-    with lab.bench(MACHINE, result.name) as bench:
+    with lab.bench(result.name) as bench:
         for compensate in (False, True):
             word = "with" if compensate else "without"
             values: dict[str, Any] = {**gains, "compensate": compensate}

@@ -99,17 +99,18 @@ def fit(lab: Lab) -> Result:
     """One friction curve for each joint, from the static, low-speed and viscous experiments; those
     that are missing are made first.
     """
-    static = needed(lab, "imi-static", imi_breakaway.static)
-    viscous = needed(lab, "imi-viscous", imi_friction.viscous)
-    low = needed(lab, "imi-low-speed", imi_friction.low_speed)
+    static = needed(lab, "breakaway", imi_breakaway.static)
+    viscous = needed(lab, "high-speed", imi_friction.viscous)
+    low = needed(lab, "low-speed", imi_friction.low_speed)
     result = Result(
-        "imi-fit", "Friction curve of the planar arm", imi_friction.MACHINE, target=low.target
+        "friction-curve", "Friction curve of the planar arm", imi_friction.MACHINE,
+        target=low.target,
     )
     folder = lab.folder / result.name
     folder.mkdir(parents=True, exist_ok=True)
     curves = {}
     for joint in imi_friction.JOINTS:
-        with np.load(lab.folder / "imi-low-speed" / f"curve{joint}.npz") as stored:
+        with np.load(lab.folder / "low-speed" / f"curve{joint}.npz") as stored:
             v, f = stored["speed"], stored["friction"]
             # at the peaks the acceleration jumps, which the smoothing smears: they are left out
             sliding = (
@@ -171,7 +172,7 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
     figure, axes = make_figure(2, 2)
     for row, joint in zip(axes, imi_friction.JOINTS, strict=True):
         curve = curves[joint]
-        with np.load(lab.folder / "imi-low-speed" / f"curve{joint}.npz") as stored:
+        with np.load(lab.folder / "low-speed" / f"curve{joint}.npz") as stored:
             v, f, slowing = stored["speed"], stored["friction"], stored["slowing"]
         fast = np.array(
             [

@@ -41,11 +41,11 @@ def inertia_torque(q: Array, qd: Array, qdd: Array) -> Array:
 
 def viscous(lab: Lab, speeds: tuple[float, ...] = (2.0, 2.5, 3.0, 4.0, 5.0)) -> Result:
     """Friction at high speed: a constant torque, open loop, until the speed is steady."""
-    result = Result("imi-viscous", "Friction of the planar arm at high speed", MACHINE)
+    result = Result("high-speed", "Friction of the planar arm at high speed", MACHINE)
     points: dict[int, list[tuple[float, float, float]]] = {1: [], 2: []}
     # N m, N m s/rad: only to choose torques that give about these speeds
     guess = {1: (8.45, 5.3), 2: (2.35, 1.1)}
-    with lab.bench(MACHINE, result.name) as bench:
+    with lab.bench(result.name) as bench:
         for joint in JOINTS:
             for direction in (1, -1):
                 for speed in speeds:
@@ -132,10 +132,10 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
     """Friction at low speed: inverse dynamics with PD along a triangular velocity, 0 to 1 rad/s and
     back, repeated and averaged.
     """
-    result = Result("imi-low-speed", "Friction of the planar arm at low speed", MACHINE)
+    result = Result("low-speed", "Friction of the planar arm at low speed", MACHINE)
     machine = load_machine(MACHINE)
     curves: dict[int, tuple[Array, Array, Mask]] = {}
-    with lab.bench(MACHINE, result.name) as bench:
+    with lab.bench(result.name) as bench:
         for joint in JOINTS:
             reference = make_triangle(
                 machine, joint=joint, start=[0.0, 0.0], peak=1.0, rise=rise, cycles=cycles + 1

@@ -16,16 +16,19 @@ from typing import Any
 import numpy as np
 
 from zendsp.errors import RecordingError, Refused, ZendspError
+from zendsp.experiment.names import result_file
 from zendsp.experiment.result import Result
 from zendsp.here.stopped import ended
 from zendsp.link import Target
-from zendsp.link.put_back import Loaded, kept
+from zendsp.link.put_back import GONE, Loaded, kept
 from zendsp.recording import Recording
 from zendsp.recording.files import save_anyhow
 from zendsp.reference import Reference
+from zendsp_protocol.messages import MachineInfo
 from zendsp_protocol.states import Clock, DriveState, ProgramState
 
 Say = Callable[[str], None]
+IDLE = {"idle.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'}
 BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
 
 
@@ -44,6 +47,8 @@ class Lab:
     seed : int
         Of what an experiment draws (start positions), and of the noise of a machine that is started
         here.
+    model : path, optional
+        Model file of the machine, for the experiments that need one.
 
     Examples
     --------
@@ -57,29 +62,34 @@ class Lab:
         target: Target | None = None,
         say: Say | None = None,
         seed: int = 1,
+        model: str | Path | None = None,
     ) -> None:
         self.folder = Path(folder)
         self.seed = seed
         self.random = np.random.default_rng(seed)
         self.target = target
+        self.model = Path(model) if model is not None else None
         self.say: Say = say or (lambda text: None)
 
-    @property
-    def machine(self) -> str:
-        """Name of the target's machine; "" where no target was given."""
-        return self.target.info.machine if self.target is not None else ""
+    def machine_of(self, name: str) -> str:
+        """Name of the machine on which an experiment is made here: the target's, else the one that
+        is started for it.
+        """
+        if self.target is not None:
+            return self.target.info.machine
+        from zendsp.experiment.registry import EXPERIMENTS
+
+        return EXPERIMENTS[name].shipped
 
     @contextmanager
-    def bench(self, machine: str | None, name: str, **options: Any) -> Iterator[Bench]:
+    def bench(self, name: str, **options: Any) -> Iterator[Bench]:
         """A machine to experiment with. At the end of the block it stands still, and the program
         that was loaded before is loaded again but not started.
 
         Parameters
         ----------
-        machine : str
-            Name of the machine that the experiment is for; None: any, of a target.
         name : str
-            Of the experiment: its folder.
+            Of the experiment: its folder, and what it needs of the target.
         **options
             Settings of a simulated machine that is started here; a target that is given must have
             them already.
@@ -87,16 +97,13 @@ class Lab:
         Raises
         ------
         Refused
-            The target that was given is another machine, or its drives are not enabled where
-            the explicit sequence is in use.
+            The target that was given lacks what the experiment needs, or its drives are not enabled
+            where the explicit sequence is in use.
         """
-        folder = self.folder / name
+        from zendsp.experiment.registry import EXPERIMENTS
+
+        folder, experiment = self.folder / name, EXPERIMENTS[name]
         if self.target is not None:
-            if machine is not None and self.target.info.machine != machine:
-                raise Refused(
-                    f"experiment {name} is for the machine {machine}; the target {self.target.name}"
-                    f" is {self.target.info.machine}"
-                )
             drives = self.target.drive_status()
             if drives.explicit and drives.state not in (DriveState.ENABLED, DriveState.RUNNING):
                 raise Refused(
@@ -104,14 +111,11 @@ class Lab:
                     " them on, home, enable (zendsp load pd.c && zendsp drive on && zendsp drive"
                     " home && zendsp drive enable), then begin again"
                 )
+            if lacks := experiment.lacking(told(self.target), self.model is not None):
+                raise Refused(f"experiment {name} {lacks}")
             folder.mkdir(parents=True, exist_ok=True)
             yield from self._guard(Bench(self.target, folder, self.say, drives.explicit))
             return
-        if machine is None:
-            raise Refused(
-                f"experiment {name} is for any machine, and needs one: start a target (zendsp"
-                " target --machine NAME) and name it with -t"
-            )
         from zendsp.link import local
 
         folder.mkdir(parents=True, exist_ok=True)
@@ -120,29 +124,47 @@ class Lab:
             for key, value in {"seed": self.seed, **options}.items()
             for part in ("--machine-option", f"{key}={value}")
         ]
-        target = local(machine, clock="fast", options=arguments)
+        target = local(experiment.shipped, clock="fast", options=arguments)
         try:
             yield from self._guard(Bench(target, folder, self.say))
         finally:
             target.close()
 
     def _guard(self, bench: Bench) -> Iterator[Bench]:
-        target = bench.target
-        before = Loaded(target)
-        held = target.drive_status().commander == target.link.author
-        target.take_command()  # refused, nothing is touched: another's machine is not stopped
-        try:
-            yield bench
-        except BaseException:  # Ctrl-C as well: the machine stands before the program ends
-            with contextlib.suppress(ZendspError):
-                _stop(target)
-            raise
-        finally:
-            if why := before.put_back():
-                warnings.warn(why, stacklevel=2)
-            if not held:
+        with loading(bench.target):
+            try:
+                yield bench
+            except BaseException:  # Ctrl-C as well: the machine stands before the program ends
                 with contextlib.suppress(ZendspError):
-                    target.release_command()
+                    _stop(bench.target)
+                raise
+
+
+@contextmanager
+def loading(target: Target) -> Iterator[None]:
+    """A block that loads programs. At its end the one that was loaded before is loaded again."""
+    before = Loaded(target)
+    held = target.drive_status().commander == target.link.author
+    target.take_command()  # refused, nothing is touched: another's machine is not stopped
+    try:
+        yield
+    finally:
+        if why := before.put_back():
+            warnings.warn(why, stacklevel=2)
+        if not held:
+            with contextlib.suppress(ZendspError):
+                target.release_command()
+
+
+def told(target: Target) -> MachineInfo:
+    """What a machine says of itself. Its joints are known while a program is loaded: where none is,
+    one that does nothing is loaded for it.
+    """
+    if target.status().state not in GONE:
+        return target.machine()
+    with loading(target):
+        target.download(IDLE)
+        return target.machine()
 
 
 class Bench:
@@ -176,7 +198,6 @@ class Bench:
         after: float = 0.3,
         decimation: int = 1,
         flags: Sequence[str] = (),
-        command: str = "torque",
         **values: Any,
     ) -> Recording:
         """Load a program, set its parameters, run it, and return the recording, which is kept as
@@ -196,24 +217,20 @@ class Bench:
             Time to the first row of the reference, and after its last, s.
         flags : sequence of str
             For the compiler.
-        command : {"torque", "voltage"}
-            What the program commands.
         **values
             Parameters of the program.
 
         Raises
         ------
         Refused
-            The machine takes another command; or a limit tripped; the message says which, and the
-            recording is kept as ``name_ended.npz``. So is one that Ctrl-C ends, or a program that
-            crashes.
+            A limit tripped; the message says which, and the recording is kept as
+            ``name_ended.npz``. So is one that Ctrl-C ends, or a program that crashes.
         """
         self.say(name)
         target = self.target
         if target.status().state in (ProgramState.RUNNING, ProgramState.PAUSED):
             target.pause()
         target.download(program, flags)
-        self._require_command(name, command)
         self._make_ready(name)
         if reference is not None:
             values.setdefault("approach_time", before)
@@ -258,22 +275,6 @@ class Bench:
             raise RecordingError(wrong)
         self.recordings.append(place.name)
 
-    def _require_command(self, name: str, command: str) -> None:
-        """Refuse a machine that takes another kind of command, which it tells once a program is
-        loaded. The force of a slide counts as a torque.
-        """
-        joints = [j for j in self.target.machine().joints if j.command != "none"]
-        if not joints:
-            raise Refused(f"{name}: needs a joint with a motor, and this machine has none")
-        fit = ("torque", "force") if command == "torque" else (command,)
-        other = next((j for j in joints if j.command not in fit), None)
-        if other is not None:
-            raise Refused(
-                f"{name}: needs a machine whose command is a {command}, at {other.name} it is a"
-                f" {other.command}; where the machine has both (the pendulum), start the target"
-                f" with --machine-option drive={command}"
-            )
-
     def _keep_part(self, name: str, why: str) -> None:
         """Keep the rows that were recorded before a run ended early, if any."""
         if self.target.status().tick > 0:
@@ -304,10 +305,13 @@ def playing(recording: Recording, samples: int) -> slice:
 
 
 def needed(lab: Lab, name: str, make: Callable[[Lab], Result]) -> Result:
-    """The result of another experiment, read from this folder or made now."""
-    file = lab.folder / name / "result.toml"
+    """The result of another experiment on the same machine, read from this folder or made now."""
+    file = result_file(lab.folder, name)
     if file.exists():
-        return Result.load(file)
+        result = Result.load(file)
+        if result.machine == lab.machine_of(name):
+            return result
+        lab.say(f"{file} is of {result.machine}: {name} is made first")
     result = make(lab)
-    result.save(file)
+    result.save(lab.folder / name / "result.toml")
     return result

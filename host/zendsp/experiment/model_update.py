@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from zendsp.errors import ModelError
-from zendsp.experiment.registry import EXPERIMENTS
+from zendsp.experiment.names import present_name
+from zendsp.experiment.registry import EXPERIMENTS, Experiment
 from zendsp.experiment.result import Result
 from zendsp.physics import load_model, model_text, parse_model
 from zendsp.physics.effects import Effect, get_effect
@@ -15,6 +16,7 @@ from zendsp.physics.model import Model, Quantity
 from zendsp.reference import load_machine
 from zendsp.reference.machine import MACHINES
 from zendsp.whole_file import write_whole
+from zendsp_protocol.messages import MachineInfo
 from zendsp_protocol.texts import counted
 
 FRICTION = ("dry_friction", "fluid_friction")  # mechanisms
@@ -22,7 +24,9 @@ FRICTION = ("dry_friction", "fluid_friction")  # mechanisms
 _SHELL = {"kind": "rotary", "parameters": {"inertia": 1.0}}
 
 
-def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
+def fit_model(
+    names: Sequence[str], path: str | Path, machine: MachineInfo | None = None
+) -> list[str]:
     """Which of these experiments measure a number of this model file.
 
     Parameters
@@ -31,6 +35,8 @@ def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
         Of experiments; unknown ones are left out.
     path : path
         A model file.
+    machine : MachineInfo, optional
+        On which they are made; default: each on the machine that is started for it.
 
     Returns
     -------
@@ -43,17 +49,21 @@ def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
 
     Examples
     --------
-    >>> fit_model(["imi-fit", "wam-friction"], "examples/models/imi_planar.toml")  # doctest: +SKIP
-    ['imi-fit']
+    >>> fit_model(["circle", "friction-curve"], "examples/models/imi_planar.toml")  # doctest: +SKIP
+    ['friction-curve']
     """
     model = load_model(path)
-    known = [EXPERIMENTS[name] for name in names if name in EXPERIMENTS]
+    known = [e for name in names if (e := EXPERIMENTS.get(present_name(name)))]
     holding = [e for e in known if e.models]
-    fitting = [
-        e.name for e in holding if not e.machine or load_machine(e.machine).joints == model.joints
-    ]
+
+    def measured(e: Experiment) -> tuple[str, int]:
+        if machine is not None:
+            return machine.name, len(machine.joints)
+        return e.shipped, load_machine(e.shipped).joints
+
+    fitting = [e.name for e in holding if measured(e)[1] == model.joints]
     if holding and not fitting:
-        _require_joints(holding[0].machine, model, path)
+        _require_joints(*measured(holding[0]), model, path)
     if known and not fitting:
         do = ", ".join(e.name for e in EXPERIMENTS.values() if e.models)
         raise ModelError(
@@ -62,8 +72,7 @@ def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
     return fitting
 
 
-def _require_joints(machine: str, model: Model, path: str | Path) -> None:
-    joints = load_machine(machine).joints
+def _require_joints(machine: str, joints: int, model: Model, path: str | Path) -> None:
     if joints != model.joints:
         raise ModelError(
             f"{path} has {counted(model.joints, 'joint')} and {machine}, which was measured,"
@@ -100,7 +109,7 @@ def put_into(result: Result, path: str | Path) -> list[str]:
         )
     model = load_model(path)
     if result.machine in MACHINES:
-        _require_joints(result.machine, model, path)
+        _require_joints(result.machine, load_machine(result.machine).joints, model, path)
     found = parse_model(
         {
             "name": "found",

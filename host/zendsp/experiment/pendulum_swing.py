@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from zendsp.experiment.figures import BLUE, GREEN, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab, needed, playing
-from zendsp.experiment.pendulum_motor import MACHINE, mechanical
+from zendsp.experiment.mechanics import MACHINE, mechanical
 from zendsp.experiment.result import Estimate, Result
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference, load_machine, make_swing
@@ -30,15 +30,15 @@ def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0
     """Swing to upright with the least energy: planned with the measured friction and replayed, or
     planned without it and compensated.
     """
-    measured = needed(lab, "pendulum-mechanical", mechanical)
-    result = Result("pendulum-swing", "Optimal swing of the pendulum, three ways", MACHINE)
+    measured = needed(lab, "mechanical", mechanical)
+    result = Result("swing", "Optimal swing of the pendulum, three ways", MACHINE)
     machine = measured_machine(measured)
     with_friction = make_swing(machine, goal=GOAL, duration=duration, torque_limit=torque)
     without = make_swing(machine, goal=GOAL, duration=duration, torque_limit=torque, friction=0.0)
     # a swing begins at rest, within the bristles: so does the motion that these numbers are of
     fc = from_rest(measured, "theta3")
     recs: dict[str, Recording] = {}
-    with lab.bench(MACHINE, result.name, brake=brake) as bench:
+    with lab.bench(result.name, brake=brake) as bench:
         options: dict[str, Any] = {"before": 0.0, "after": AFTER}
         recs["open loop"] = bench.record(
             "open_loop", "pendulum_track.c", CHANNELS, reference=with_friction, kp=0.0, kv=0.0,

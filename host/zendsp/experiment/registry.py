@@ -9,7 +9,10 @@ from dataclasses import dataclass
 
 from zendsp.errors import Refused
 from zendsp.experiment.lab import Lab
+from zendsp.experiment.names import present_name
+from zendsp.experiment.needs import Needs
 from zendsp.experiment.result import Result
+from zendsp_protocol.messages import MachineInfo
 
 
 @dataclass(frozen=True)
@@ -19,27 +22,29 @@ class Experiment:
     Attributes
     ----------
     name : str
-    machine : str
-        That it is for; empty: any whose command is ``command``.
+        What it measures.
+    shipped : str
+        The machine that is started for it where no target is given.
+    needs : Needs
+        What any other machine must have.
     title : str
         One line for people.
     function : str
         Where it is: "module:function".
     models : bool
         Whether its result has something that a model file holds.
-    command : {"torque", "voltage"}
     """
 
     name: str
-    machine: str
+    shipped: str
+    needs: Needs
     title: str
     function: str
     models: bool = False
-    command: str = "torque"
 
-    def fits(self, machine: str) -> bool:
-        """Whether it is for this machine. The kind of command is checked when it begins."""
-        return self.machine in ("", machine)
+    def lacking(self, machine: MachineInfo, has_model: bool = False) -> str:
+        """What this machine lacks for it, in a sentence; "" where it can be made."""
+        return self.needs.lacking(machine, has_model or machine.name == self.shipped)
 
     def run(self, lab: Lab) -> Result:
         """Run it and return its result. Recordings, figure and ``result.toml`` go to the lab's
@@ -56,59 +61,60 @@ class Experiment:
         return result
 
 
+_PLANAR = Needs(only="imi_planar")
+
 EXPERIMENTS = {
     e.name: e
     for e in (
         Experiment(
-            "friction", "",
-            "Friction of every joint that takes a torque: constant speeds both ways.",
-            "any_friction:friction", models=True,
+            "friction", "wam7", Needs(),
+            "Friction of every joint: constant speeds both ways, with confidence intervals.",
+            "friction:friction", models=True,
         ),
         Experiment(
-            "imi-static", "imi_planar",
+            "breakaway", "imi_planar", _PLANAR,
             "Static friction: torque steps both ways from several positions.",
             "imi_breakaway:static",
         ),
         Experiment(
-            "imi-viscous", "imi_planar", "Friction at high speed: constant torque, open loop.",
+            "high-speed", "imi_planar", _PLANAR,
+            "Friction at high speed: constant torque, open loop.",
             "imi_friction:viscous",
         ),
         Experiment(
-            "imi-low-speed", "imi_planar",
+            "low-speed", "imi_planar", _PLANAR,
             "Friction at low speed: triangular velocity under PD, averaged.",
             "imi_friction:low_speed",
         ),
         Experiment(
-            "imi-fit", "imi_planar", "One friction curve of two polynomials through the three.",
+            "friction-curve", "imi_planar", _PLANAR,
+            "One friction curve of two polynomials through the three.",
             "imi_fit:fit", models=True,
         ),
         Experiment(
-            "imi-circle", "imi_planar",
+            "circle", "imi_planar", _PLANAR,
             "Circle under inverse dynamics, compensated or not, machine and simulation.",
             "imi_circle:circle",
         ),
         Experiment(
-            "pendulum-electrical", "pendulum", "k_a and R_a of the motor by the straight line.",
-            "pendulum_motor:electrical", command="voltage",
+            "electrical", "pendulum", Needs("voltage", sensed=True),
+            "Torque constant and resistance of each motor, by the straight line.",
+            "mechanics:electrical",
         ),
         Experiment(
-            "pendulum-mechanical", "pendulum",
-            "Inertia, gravity and friction from the open-loop torque law.",
-            "pendulum_motor:mechanical", models=True,
+            "mechanical", "pendulum", Needs(),
+            "Inertia, weight, Coulomb and viscous friction of each joint.",
+            "mechanics:mechanical", models=True,
         ),
         Experiment(
-            "pendulum-swing", "pendulum",
+            "swing", "pendulum", Needs(most=1),
             "Optimal swing open and closed loop, and friction at the feedback level.",
             "pendulum_swing:swing",
         ),
         Experiment(
-            "wam-friction", "wam7", "Friction maps of seven joints with confidence intervals.",
-            "wam_friction:friction", models=True,
-        ),
-        Experiment(
-            "wam-tracking", "wam7",
+            "tracking", "wam7", Needs(model="with friction"),
             "Joint error of machine and simulation, each joint alone and all together.",
-            "wam_tracking:tracking",
+            "tracking:tracking",
         ),
     )
 }
@@ -120,7 +126,7 @@ def run_experiment(name: str, lab: Lab) -> Result:
     Parameters
     ----------
     name : str
-        Key of ``EXPERIMENTS``.
+        Key of ``EXPERIMENTS``, or a former name of one.
     lab : Lab
 
     Returns
@@ -130,8 +136,11 @@ def run_experiment(name: str, lab: Lab) -> Result:
     Raises
     ------
     Refused
-        No such experiment.
+        No such experiment, or the machine lacks what it needs.
     """
-    if name not in EXPERIMENTS:
+    now = present_name(name)
+    if now not in EXPERIMENTS:
         raise Refused(f"no experiment {name!r}; there are {', '.join(EXPERIMENTS)}")
-    return EXPERIMENTS[name].run(lab)
+    if now != name:
+        lab.say(f"{name} is called {now} now")
+    return EXPERIMENTS[now].run(lab)

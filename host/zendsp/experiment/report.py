@@ -11,6 +11,7 @@ from pathlib import Path
 
 from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL
+from zendsp.experiment.names import result_file
 from zendsp.experiment.result import Cell, Estimate, Result, Row, number
 from zendsp.experiment.truth import TRUTH
 from zendsp.experiment.wam_friction import cannot_separate
@@ -35,13 +36,14 @@ def write_report(folder: Path, path: Path) -> Path:
     RecordingError
         An experiment has not been made yet.
     """
-    missing = [name for name in _SECTIONS if not (folder / name / "result.toml").exists()]
+    files = {name: result_file(folder, name) for name in _SECTIONS}
+    missing = [name for name, file in files.items() if not file.exists()]
     if missing:
         raise RecordingError(
             f"{folder}: lacks {', '.join(missing)}: make all experiments first (zendsp experiment"
             " all)"
         )
-    results = {name: Result.load(folder / name / "result.toml") for name in _SECTIONS}
+    results = {name: Result.load(file) for name, file in files.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     figures = path.parent / "figures"
     figures.mkdir(exist_ok=True)
@@ -49,7 +51,7 @@ def write_report(folder: Path, path: Path) -> Path:
     for name, section in _SECTIONS.items():
         result = results[name]
         if result.figure:
-            shutil.copyfile(folder / name / result.figure, figures / f"{name}.png")
+            shutil.copyfile(files[name].parent / result.figure, figures / f"{name}.png")
         parts.append(f"## {result.title}\n\n`zendsp experiment {name}`, on {result.target}.\n")
         parts.append(section(result))
         if result.figure:
@@ -362,7 +364,7 @@ def _tracking(r: Result) -> str:
 
 
 _SECTIONS: dict[str, Callable[[Result], str]] = {
-    "imi-static": _static, "imi-viscous": _viscous, "imi-low-speed": _low, "imi-fit": _fit,
-    "imi-circle": _circle, "pendulum-electrical": _electrical, "pendulum-mechanical": _mechanical,
-    "pendulum-swing": _swing, "wam-friction": _wam, "wam-tracking": _tracking,
+    "breakaway": _static, "high-speed": _viscous, "low-speed": _low, "friction-curve": _fit,
+    "circle": _circle, "electrical": _electrical, "mechanical": _mechanical,
+    "swing": _swing, "friction": _wam, "tracking": _tracking,
 }

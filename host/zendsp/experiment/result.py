@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 import tomli_w
 
 from zendsp.errors import RecordingError
+from zendsp.experiment.names import present_name
 from zendsp_protocol import written
 from zendsp_protocol.spelling import unknown_keys
 from zendsp_protocol.views import html_table, sentence, with_std
@@ -137,7 +138,7 @@ class Result:
         """
         try:
             data = written.toml(Path(path).read_text(encoding="utf-8"))
-            result = cls(data["name"], data["title"], data["machine"])
+            result = cls(present_name(data["name"]), data["title"], data["machine"])
             if said := _mistyped(data, str(path)):
                 raise RecordingError(said)
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError) as error:

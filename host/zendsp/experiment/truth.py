@@ -16,7 +16,7 @@ _NAMES = ("coulomb{}_pos", "coulomb{}_neg", "viscous{}_pos", "viscous{}_neg")
 # Experiment to quantity to value, in the quantity's unit. Levels of the planar arm are means over
 # all places; the pendulum's are those of the direction in which the experiment turns it.
 TRUTH: dict[str, dict[str, float]] = {
-    "imi-static": {
+    "breakaway": {
         "breakaway1_ccw": 11.4 * 1.05,
         "breakaway1_cw": 11.4 * 0.95,
         "breakaway2_ccw": 3.1 * 0.96,
@@ -24,7 +24,7 @@ TRUTH: dict[str, dict[str, float]] = {
         "stiffness1": 12000.0,
         "stiffness2": 1500.0,
     },
-    "imi-viscous": {
+    "high-speed": {
         "viscous1_ccw": 5.3 * 1.02,
         "viscous1_cw": 5.3 * 0.98,
         "viscous2_ccw": 1.1 * 0.97,
@@ -34,18 +34,18 @@ TRUTH: dict[str, dict[str, float]] = {
         "level2_ccw": 2.35 * 0.96,
         "level2_cw": 2.35 * 1.04,
     },
-    "pendulum-electrical": {"k_a": 0.1762, "R_a": 5.54},
-    "pendulum-mechanical": {
+    "electrical": {"k_a": 0.1762, "R_a": 5.54},
+    "mechanical": {
         "theta1": 2.07e-3, "theta2": 0.0170, "theta3": 0.104, "viscous": 0.0052,
     },
-    "wam-friction": {
+    "friction": {
         name.format(joint): value
         for joint, row in _WAM.items()
         for name, value in zip(_NAMES, row, strict=True)
     },
 }
 
-_PLANAR = TRUTH["imi-viscous"]
+_PLANAR = TRUTH["high-speed"]
 
 
 def _both_ways(found: dict[str, float]) -> dict[str, float]:
@@ -70,5 +70,5 @@ FRICTION: dict[str, dict[str, float]] = {
         "coulomb1_pos": 0.104, "coulomb1_neg": 0.096,
         "viscous1_pos": 0.0052, "viscous1_neg": 0.0048,
     }),
-    "wam7": _both_ways(TRUTH["wam-friction"]),
+    "wam7": _both_ways(TRUTH["friction"]),
 }

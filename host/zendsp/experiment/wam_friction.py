@@ -68,10 +68,10 @@ def friction(
             f"speeds = {speeds}: friction, weight and rotor are seven numbers of a joint; their"
             f" intervals need {FEWEST} speeds (two directions of each)"
         )
-    result = Result("wam-friction", "Friction maps of the WAM", MACHINE)
+    result = Result("friction", "Friction maps of the WAM", MACHINE)
     maps: dict[int, Sliding] = {}
     curves: dict[int, Array] = {}
-    with lab.bench(MACHINE, result.name) as bench:
+    with lab.bench(result.name) as bench:
         for joint in joints:
             maps[joint] = _map(bench, joint, speeds, TRAVEL, f"joint{joint}")
         slow = {

@@ -37,16 +37,15 @@ def electrical(
 ) -> Result:
     """k_a and R_a: at steady speed v/i over qd/i is a straight line of slope k_a and intercept R_a.
     """
-    result = Result("pendulum-electrical", "Motor of the pendulum", MACHINE)
+    result = Result("electrical", "Motor of the pendulum", MACHINE)
     points = []
-    with lab.bench(MACHINE, result.name, drive="voltage", brake=0.0) as bench:
+    with lab.bench(result.name, drive="voltage", brake=0.0) as bench:
         for v in volts:
             rec = bench.record(
                 f"{v:+.1f}V",
                 "pendulum_current.c",
                 ["q", "adc"],
                 seconds=4.0,
-                command="voltage",
                 voltage_mode=True,
                 volts=v,
             )
@@ -133,8 +132,8 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
     """theta1 … theta3 from the paper's open-loop torque, such that the simulated position matches
     the recorded one.
     """
-    result = Result("pendulum-mechanical", "Inertia, gravity and friction of the pendulum", MACHINE)
-    with lab.bench(MACHINE, result.name, brake=brake) as bench:
+    result = Result("mechanical", "Inertia, gravity and friction of the pendulum", MACHINE)
+    with lab.bench(result.name, brake=brake) as bench:
         another: dict[str, Any] = {"level": 0.34, "a1": 0.08, "a2": -0.1, "w1": 19.0, "w2": 7.0}
         recs = [
             bench.record(

@@ -34,10 +34,10 @@ def tracking(
     """Each joint moved alone by 0.5 rad along the paper's LSPB, then all together, on the machine
     and in simulation.
     """
-    measured = needed(lab, "wam-friction", friction)
-    result = Result("wam-tracking", "Joint error of the WAM, machine and simulation", MACHINE)
+    measured = needed(lab, "friction", friction)
+    result = Result("tracking", "Joint error of the WAM, machine and simulation", MACHINE)
     errors: dict[str, tuple[Array, Array]] = {}
-    with lab.bench(MACHINE, result.name) as bench:
+    with lab.bench(result.name) as bench:
         model = measured_model(measured, bench.folder)
         machine = load_machine(MACHINE)
         for name, moving in [*((f"joint{j}", (j,)) for j in joints), ("all", joints)]:

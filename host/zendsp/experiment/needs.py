@@ -1,0 +1,102 @@
+"""What an experiment needs of a machine, and what a machine lacks of it, in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from zendsp_protocol.messages import JointInfo, MachineInfo
+from zendsp_protocol.texts import counted
+
+Command = Literal["torque", "voltage"]
+FORCES = ("torque", "force")  # of a slide
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a machine must have, or declare, for an experiment.
+
+    Attributes
+    ----------
+    command : {"torque", "voltage"}
+        What every joint with a drive takes; the force of a slide counts as a torque.
+    least, most : int
+        How many joints with a drive; most 0: any number.
+    sensed : bool
+        An analog input in A and one in V for each joint with a drive.
+    model : str
+        What a model file is needed for; "": for nothing. The shipped machine has its own.
+    only : str
+        Name of the only machine that it is for so far; "": any.
+    """
+
+    command: Command = "torque"
+    least: int = 1
+    most: int = 0
+    sensed: bool = False
+    model: str = ""
+    only: str = ""
+
+    def words(self) -> str:
+        """The needs in a line, for a list."""
+        if self.only:
+            return self.only
+        joints = {(1, 0): "", (1, 1): ", one joint"}.get(
+            (self.least, self.most), f", {self.least} joints" + (" or more" * (not self.most))
+        )
+        sensors = ", current and voltage sensed" if self.sensed else ""
+        return f"{self.command}{joints}{sensors}" + (", --model" if self.model else "")
+
+    def lacking(self, machine: MachineInfo, has_model: bool) -> str:
+        """A sentence on what a machine lacks; "" where it has everything.
+
+        Parameters
+        ----------
+        machine : MachineInfo
+            What it declares while a program is loaded: before, it tells no joints.
+        has_model : bool
+            Whether there is a model file, or the machine needs none.
+        """
+        if self.only and machine.name != self.only:
+            return f"needs the machine {self.only}, and this is {machine.name}"
+        driven = driven_joints(machine)
+        if not driven:
+            return "needs a joint with a motor, and this machine has none"
+        fit = FORCES if self.command == "torque" else (self.command,)
+        other = next((j for j in driven if j.command not in fit), None)
+        if other is not None:
+            return (
+                f"needs a machine whose command is a {self.command}, at {other.name} it is a"
+                f" {other.command}; where the machine has both (the pendulum), start the target"
+                f" with --machine-option drive={self.command}"
+            )
+        if len(driven) < self.least or 0 < self.most < len(driven):
+            many = f"{self.least} joints or more" if not self.most else f"{self.most} joint"
+            has = counted(len(driven), "joint")
+            return f"needs {many} with a drive, and this machine has {has}"
+        if self.sensed and (lacks := _unsensed(machine, len(driven))):
+            return lacks
+        if self.model and not has_model:
+            return f"needs a model file of the machine, {self.model}: give it with --model FILE"
+        return ""
+
+
+def driven_joints(machine: MachineInfo) -> list[JointInfo]:
+    """The joints that have a drive."""
+    return [j for j in machine.joints if j.command != "none"]
+
+
+def inputs_of(machine: MachineInfo, unit: str) -> list[int]:
+    """Which analog inputs have a unit, from 0; the k-th is that of the k-th joint with a drive."""
+    return [k for k, own in enumerate(machine.adc_units) if own == unit]
+
+
+def _unsensed(machine: MachineInfo, joints: int) -> str:
+    for unit, what in (("A", "current"), ("V", "voltage")):
+        found = len(inputs_of(machine, unit))
+        if found < joints:
+            return (
+                f"needs the {what} of each motor among the analog inputs (unit {unit}); of"
+                f" {counted(joints, 'joint')} with a drive this machine tells {found or 'none'}"
+            )
+    return ""
