@@ -111,10 +111,11 @@ class Lab:
                     " them on, home, enable (zendsp load pd.c && zendsp drive on && zendsp drive"
                     " home && zendsp drive enable), then begin again"
                 )
-            if lacks := experiment.lacking(told(self.target), self.model is not None):
+            machine = told(self.target)
+            if lacks := experiment.lacking(machine, self.model is not None):
                 raise Refused(f"experiment {name} {lacks}")
             folder.mkdir(parents=True, exist_ok=True)
-            yield from self._guard(Bench(self.target, folder, self.say, drives.explicit))
+            yield from self._guard(Bench(self.target, machine, folder, self.say, drives.explicit))
             return
         from zendsp.link import local
 
@@ -126,7 +127,7 @@ class Lab:
         ]
         target = local(experiment.shipped, clock="fast", options=arguments)
         try:
-            yield from self._guard(Bench(target, folder, self.say))
+            yield from self._guard(Bench(target, told(target), folder, self.say))
         finally:
             target.close()
 
@@ -168,10 +169,18 @@ def told(target: Target) -> MachineInfo:
 
 
 class Bench:
-    """One machine on one target, for the duration of an experiment."""
+    """One machine on one target, for the duration of an experiment; ``machine`` is what it declares.
+    """
 
-    def __init__(self, target: Target, folder: Path, say: Say, enabled: bool = False) -> None:
-        self.target, self.folder, self.say = target, folder, say
+    def __init__(
+        self,
+        target: Target,
+        machine: MachineInfo,
+        folder: Path,
+        say: Say,
+        enabled: bool = False,
+    ) -> None:
+        self.target, self.machine, self.folder, self.say = target, machine, folder, say
         self._enabled = enabled  # by somebody: again after each load, which switches them off
         self.recordings: list[str] = []
         self.loaded: object = None
