@@ -169,8 +169,7 @@ def told(target: Target) -> MachineInfo:
 
 
 class Bench:
-    """One machine on one target, for the duration of an experiment; ``machine`` is what it declares.
-    """
+    """One machine on one target, for the duration of an experiment, and what it declares."""
 
     def __init__(
         self,

@@ -4,7 +4,7 @@ together: the WAM paper's validation, on any machine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +19,10 @@ from zendsp.experiment.result import Cell, Estimate, Result
 from zendsp.experiment.wam_friction import JOINTS, POSE
 from zendsp.physics import load_model, parse_model, simulate
 from zendsp.physics.codegen.urdf import dh_urdf
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, per_joint
 from zendsp.recording import Recording
 from zendsp.reference import Limits, Machine, Reference, load_machine, make_limited, make_lspb
+from zendsp_protocol.messages import MachineInfo
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
@@ -77,7 +78,8 @@ def tracking(lab: Lab, joints: tuple[int, ...] = (), duration: float = DURATION)
         wam = name == wam_friction.MACHINE
         plan = _wam_plan(model) if wam else _any_plan(bench, model)
         moved = joints or tuple(int(j) + 1 for j in np.flatnonzero(plan.way))
-        for run, moving in [*((f"joint{j}", (j,)) for j in moved), ("all", moved)]:
+        together = [("all", moved)] if len(moved) > 1 else []
+        for run, moving in [*((f"joint{j}", (j,)) for j in moved), *together]:
             reference = _move(plan, moving, duration)
             rec = bench.record(
                 run, plan.program, CHANNELS, reference=reference, before=BEFORE, after=0.5
@@ -119,7 +121,24 @@ def _any_plan(bench: Bench, model: Model) -> Plan:
     period = 1.0 / bench.target.status().rate_hz
     unit = " or ".join(sorted({j.unit for j in told.joints}, reverse=True))
     machine = make_limited(told.name, period, start, limits, unit)
-    return Plan(machine, model, "joint_pd.c", start, way, tuple(j.unit for j in told.joints))
+    units = tuple(j.unit for j in told.joints)
+    return Plan(machine, _completed(model, told), "joint_pd.c", start, way, units)
+
+
+def _completed(model: Model, told: MachineInfo) -> Model:
+    """The model with what it leaves open and the machine declares: the drives' limits, and the
+    counts of the encoders.
+    """
+    actuator, sensor = model.actuator, model.sensor
+    most = [j.torque_max for j in told.joints]
+    if not actuator.limit and np.all(np.isfinite(most)):
+        gains = [abs(per_joint(actuator.gain, j + 1, 1.0)) for j in range(model.joints)]
+        limit = tuple(m / g for m, g in zip(most, gains, strict=True))
+        actuator = replace(actuator, limit=limit)
+    if not sensor.resolution:
+        counts = tuple(1.0 / abs(j.counts_per_unit) for j in told.joints)
+        sensor = replace(sensor, resolution=counts)
+    return replace(model, actuator=actuator, sensor=sensor)
 
 
 def _move(plan: Plan, moving: tuple[int, ...], duration: float) -> Reference:
@@ -209,21 +228,24 @@ def _report(
 def _draw(
     errors: dict[str, tuple[Array, Array]], joints: tuple[int, ...], plan: Plan
 ) -> Figure:
+    runs = ("", "all")[: 1 + ("all" in errors)]
     figure, axes = make_figure(
-        len(joints), 2, width=9.5, height=max(1.5, 3.0 / len(joints)), sharex=True, sharey="row"
+        len(joints), len(runs), width=9.5, height=max(1.5, 3.0 / len(joints)), sharex=True,
+        sharey="row",
     )
     for row, j in zip(axes, joints, strict=True):
-        for axis, name in zip(row, (f"joint{j}", "all"), strict=True):
+        for axis, name in zip(row, runs, strict=True):
             for error, style, colour, width, word in (
-                (errors[name][0], "-", BLUE, 1.5, "machine"),
-                (errors[name][1], "--", RED, 1.0, "simulation"),
+                (errors[name or f"joint{j}"][0], "-", BLUE, 1.5, "machine"),
+                (errors[name or f"joint{j}"][1], "--", RED, 1.0, "simulation"),
             ):
                 t = plan.machine.sample_time * np.arange(len(error))
                 shown = 1e3 * error[:, j - 1]
                 axis.plot(t, shown, style, color=colour, linewidth=width, label=word)
         label(row[0], "", f"joint {j} (m{plan.units[j - 1]})")
     axes[0, 0].set_title("each joint alone: error", fontsize=10, loc="left")
-    axes[0, 1].set_title(f"all {len(joints)} together", fontsize=10, loc="left")
+    if len(runs) > 1:
+        axes[0, 1].set_title(f"all {len(joints)} together", fontsize=10, loc="left")
     axes[0, 0].legend(fontsize=8, frameon=False, ncols=2)
     for axis in axes[-1]:
         axis.set_xlabel("t (s)", fontsize=9)
