@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from zendsp.errors import RecordingError
-from zendsp.experiment.any_friction import _line
+from zendsp.experiment.any_friction import fit_line
 from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.imi_breakaway import breakaway_torque, bristle_stiffness, pushed_way
 from zendsp.experiment.imi_fit import fit_curve
 from zendsp.experiment.imi_friction import inertia_torque
-from zendsp.experiment.mechanics import delivered, fit_parameters, pendulum_model, steady_means
+from zendsp.experiment.motor import steady_means
+from zendsp.experiment.spun_shaft import delivered, fit_parameters, pendulum_model
 from zendsp.experiment.wam_friction import (
     Sliding,
     cannot_separate,
@@ -141,7 +142,7 @@ def test_friction_of_an_unknown_joint_is_the_line_that_it_reaches_at_high_speed(
     rng = np.random.default_rng(12)
     off, falls = [], 0
     for _ in range(20):
-        found = _line(unknown_joint(rng, stribeck, uneven), True)
+        found = fit_line(unknown_joint(rng, stribeck, uneven), True)
         level, viscous, half_level, half_viscous = found.mean
         off.append(((level - 0.1) / half_level, (viscous - 0.005) / half_viscous))
         falls += found.excess > 0
@@ -162,7 +163,7 @@ def test_friction_that_would_drive_a_heavy_joint_is_its_weight_where_a_ripple_hi
         phase = rng.uniform(0, 6)
         more = 0.5 * np.sign(joint.speed) + 0.9 * np.sin(12 * joint.q + phase)
         torque = joint.torque + more + 9.3 * np.cos(0.3 * joint.q)
-        found = _line(replace(joint, torque=torque), True)
+        found = fit_line(replace(joint, torque=torque), True)
         levels = [found.value[way] for way in ("+", "-")]
         assert all(level + half > 0.0 for level, _, half, _ in levels)
         held += all(abs(level - 0.6) <= half for level, _, half, _ in levels)

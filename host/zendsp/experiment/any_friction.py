@@ -63,9 +63,7 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
         for joint in joints or driven:
             reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
             sliding = _record(bench, reference, joint)
-            found = _line(sliding, all_joints[joint - 1].unit == "rad")
-            if all_joints[joint - 1].unit != "rad":
-                found = _even(found)
+            found = fit_line(sliding, all_joints[joint - 1].unit == "rad")
             curves[joint] = (sliding.points(found.free), found)
             _report(result, joint, all_joints[joint - 1].unit, found)
         result.recordings, result.target = bench.recordings, bench.where
@@ -107,22 +105,24 @@ def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
     return constant_speed_pieces(rec, reference, joint, gravity=False)
 
 
-def _line(sliding: Sliding, may_weigh: bool) -> Friction:
+def fit_line(sliding: Sliding, may_weigh: bool) -> Friction:
     """Friction and weight that explain a joint's torque.
 
     A weight is two more coefficients; it is kept where chance would explain as much only once in a
     hundred times (F test). Friction that varies with place does so alike at every speed, so one
     part of the way counts as one measurement. A weight that is not kept is not excluded: all
     numbers are as uncertain as beside it. Where friction would have to drive the joint, the way is
-    too short, or friction too uneven, to show how the weight changes: it is the same everywhere.
+    too short, or friction too uneven, to tell weight from what the directions differ by: they are
+    alike, and the weight is the same everywhere, or changes as that of a turning mass, whichever
+    explains more (both have as many numbers).
     """
     from scipy.special import fdtri
 
     plain = _falling(sliding, False)
     if not may_weigh:
-        return plain
+        return _even(plain)
     found = _falling(sliding, True)
-    free = len(np.unique(sliding.part)) - 7
+    free = len(np.unique(sliding.part)) - 7 - len(sliding.further)
     without, within = plain.squares, found.squares
     more = free > 0 and (without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free
     if not more:
@@ -130,10 +130,16 @@ def _line(sliding: Sliding, may_weigh: bool) -> Friction:
             way: (level, viscous, max(half, found.value[way][2]), max(dv, found.value[way][3]))
             for way, (level, viscous, half, dv) in plain.value.items()
         }
-        found = replace(plain, value=value, weight_half=found.weight_half)
+        widest = max(plain.inertia[1], found.inertia[1])
+        found = replace(
+            plain, value=value, weight_half=found.weight_half, sine=(0.0, found.sine[1]),
+            cosine=(0.0, found.cosine[1]), inertia=(plain.inertia[0], widest),
+        )
     both = (*plain.value.values(), *found.value.values())
-    drives = any(level + half < 0.0 for level, _, half, _ in both)
-    return _even(plain) if drives else found
+    if not any(level + half < 0.0 for level, _, half, _ in both):
+        return found
+    alike = fit_friction(sliding, True, unknown=True, both=True)
+    return alike if alike.squares < plain.squares else _even(plain)
 
 
 def _falling(sliding: Sliding, weighs: bool) -> Friction:
@@ -166,7 +172,7 @@ def _even(found: Friction) -> Friction:
     value = {way: (level, viscous, half, dv) for way, (_, viscous, _, dv) in found.value.items()}
     free = found.free - weight
     return replace(found, value=value, uneven=False, free=free, weight=abs(weight),
-                   weight_half=found.apart_half)
+                   weight_half=found.apart_half, constant=(weight, found.apart_half))
 
 
 def _report(result: Result, joint: int, unit: str, found: Friction) -> None:

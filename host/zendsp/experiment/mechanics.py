@@ -1,340 +1,297 @@
-"""The pendulum's motor and mechanics, as its paper identifies them."""
+"""Inertia, weight and friction of every joint of any machine that takes torques, from smooth moves
+both ways, within the limits that the machine states.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from zendsp.errors import RecordingError
-from zendsp.experiment.estimates import NORMAL, half_width, least_squares, smoothed
-from zendsp.experiment.figures import BLUE, GREEN, RED, label, make_figure, save
-from zendsp.experiment.lab import Lab
-from zendsp.experiment.result import Estimate, FoundEffect, Result
-from zendsp.physics import parse_model, simulate_loop
-from zendsp.physics.calibration.covariance import robust_covariance
-from zendsp.physics.model import Model
+from zendsp.diagnosis.data.series import stretches
+from zendsp.errors import Refused
+from zendsp.experiment import spun_shaft
+from zendsp.experiment.any_friction import fit_line
+from zendsp.experiment.estimates import NORMAL, least_squares, smoothed
+from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
+from zendsp.experiment.lab import Bench, Lab, playing
+from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
+from zendsp.experiment.wam_friction import ACTS, Friction, Sliding, friction_effects
 from zendsp.recording import Recording
+from zendsp.reference import Reference
+from zendsp_protocol.messages import JointInfo
+from zendsp_protocol.views import with_std
 
 Array = npt.NDArray[np.float64]
 
-MACHINE = "pendulum"
-PARAMETERS = ("theta1", "theta2", "theta3", "viscous")
-UNITS = {"theta1": "kg m^2", "theta2": "kg m", "theta3": "N m", "viscous": "N m s/rad"}
-G = 9.81
-EARLY = 1.0  # s
-SPINS, SMOOTHED = 3.0, 51  # rad/s, beyond which the shaft spins; samples that its speed is taken of
-SENSED = 2  # samples after a command is computed, its current is measured
-BLOCK = 0.1  # s
-DRAWN = 60.0  # rad: a simulation that is further away has left the figure
+PROGRAM = "joint_pd.c"
+CHANNELS = ("play_time", "q", "tau")
+TRAVEL = 0.8  # rad or m, at most …
+SHARE = 0.4  # … and of the range of the joint
+ASIDE = 0.25  # of the travel, kept free at both ends of the range
+SPEED = 0.4  # of the largest speed
+TORQUE = 0.3  # of the largest torque, to accelerate
+FASTEST = 0.8  # s, a move: the loop of joint_pd.c follows faster ones badly
+SPREAD = 6.0  # slowest over fastest move
+MOVES = 6  # durations, each there and back
+GENTLE = 3  # cycles of the first motion, over a quarter of the way …
+CALM = 2.0  # s, each move of it
+KNOWN = 0.2  # of an inertia, its standard deviation at most where the loop is set by it
+REST = 0.3  # s, after each move
+LONGEST = 50.0  # s, all moves together: a table holds 60 s
+PEAK, TURN = 1.875, 5.774  # largest speed and acceleration of a move of length and duration 1
+SLIDES = 0.2  # of a move's largest speed: below, bristles bend
+PIECES = 10  # of a move
+WIDTH = 1.0 / 6.0  # of a move: what a piece averages over
+FEWEST = 41  # samples of it
 
 
-def electrical(
-    lab: Lab,
-    volts: tuple[float, ...] = (7.0, 8.5, 10.0, 12.0, 14.0, 16.0, -7.0, -9.0, -11.0, -13.0, -15.0),
-) -> Result:
-    """k_a and R_a: at steady speed v/i over qd/i is a straight line of slope k_a and intercept R_a.
+@dataclass(frozen=True)
+class Moves:
+    """A reference, and the first and last row of each of its moves."""
+
+    reference: Reference
+    rows: tuple[tuple[int, int], ...]
+
+
+class Accelerated(Sliding):
+    """Pieces of moves that accelerate; all are equally long parts of a move and weigh alike."""
+
+    def weights(self) -> Array:
+        return np.ones_like(self.torque)
+
+
+def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
+    """Inertia, weight, Coulomb and viscous friction of each joint.
+
+    The pendulum's shaft is spun by its paper's torque law. Any other joint makes smooth moves both
+    ways, slow to fast.
+
+    Parameters
+    ----------
+    lab : Lab
+    joints : tuple of int
+        Which; default: all that have a drive.
     """
-    result = Result("electrical", "Motor of the pendulum", MACHINE)
-    points = []
-    with lab.bench(result.name, drive="voltage", brake=0.0) as bench:
-        for v in volts:
-            rec = bench.record(
-                f"{v:+.1f}V",
-                "pendulum_current.c",
-                ["q", "adc"],
-                seconds=4.0,
-                voltage_mode=True,
-                volts=v,
-            )
-            points.append(steady_means(rec))
+    name = lab.machine_of("mechanical")
+    if name == spun_shaft.MACHINE:
+        return spun_shaft.mechanical(lab)
+    result = Result("mechanical", "Inertia, weight and friction of every joint", name)
+    curves: dict[int, tuple[Sliding, Friction]] = {}
+    with lab.bench(result.name) as bench:
+        stands = bench.record("where_it_stands", PROGRAM, CHANNELS, seconds=0.2)
+        place, told = np.atleast_1d(stands["q"][-1]), bench.machine.joints
+        for joint in joints or [j for j, own in enumerate(told, 1) if own.command != "none"]:
+            pieces = _measure(bench, joint, place)
+            found = fit_line(pieces, told[joint - 1].unit == "rad")
+            curves[joint] = pieces, found
+            _report(result, joint, told[joint - 1].unit, found)
+        if len(told) == 1:
+            _of_one_joint(result, told[0].unit, curves[1][1])
         result.recordings, result.target = bench.recordings, bench.where
-        speed, current, voltage = np.array(points).T
-        # the same line times the current: measured errors then weigh alike at all voltages
-        (intercept, slope), half, _ = least_squares(np.stack([current, speed], axis=1), voltage)
-        result.values["k_a"] = Estimate(float(slope), float(half[1] / NORMAL), "N m/A")
-        result.values["R_a"] = Estimate(float(intercept), float(half[0] / NORMAL), "ohm")
-        result.tables["points"] = [
-            {
-                "voltage V": round(float(v), 2),
-                "current A": round(float(i), 4),
-                "speed rad/s": round(float(w), 3),
-            }
-            for w, i, v in points
-        ]
-        result.warnings.append(
-            "The bar stays on the shaft (the paper takes the load off): its weight makes the"
-            " current swing over many steps of the 10-bit sensor, and means over whole turns are"
-            " used."
-        )
-        figure, axes = make_figure(1, 1, width=6.0, height=3.6)
-        x = speed / current
-        axes[0, 0].plot(x, voltage / current, "o", color=BLUE, markersize=5, label="measured")
-        ends = np.array([0.0, x.max() * 1.05])
-        axes[0, 0].plot(
-            ends,
-            intercept + slope * ends,
-            color=RED,
-            linewidth=1.0,
-            label=f"k_a = {slope:.4f} N m/A, R_a = {intercept:.2f} ohm",
-        )
-        label(axes[0, 0], "speed / current (rad/(s A))", "voltage / current (ohm)", legend=True)
-        result.figure = save(figure, bench.folder / "electrical.png")
+        units = [j.unit for j in told]
+        result.figure = save(_draw(curves, units), bench.folder / "mechanical.png")
     return result
 
 
-def steady_means(rec: Recording) -> tuple[float, float, float]:
-    """Mean speed, measured current and voltage over the last whole turns of a recording.
-
-    Raises
-    ------
-    RecordingError
-        It does not make a turn in its second half.
+def _measure(bench: Bench, joint: int, place: Array) -> Sliding:
+    """A gentle motion first, which tells the inertia for the loop and for the accelerations; then
+    slow to fast moves.
     """
-    q, half = rec["q"], len(rec) // 2
-    turns = int(abs(q[-1] - q[half]) / (2 * np.pi))
-    if turns == 0:
-        raise RecordingError(
-            "the shaft does not turn at this voltage: raise it, or loosen the brake"
+    own = bench.machine.joints[joint - 1]
+    travel, start = _way(own, float(place[joint - 1]))
+    period = 1.0 / bench.target.status().rate_hz
+
+    def moved(name: str, durations: list[float], way: float, **values: Any) -> Recording:
+        moves = _moves(place, joint, start + (travel - way) / 2.0, way, durations, period)
+        rec = bench.record(name, PROGRAM, CHANNELS, reference=moves.reference, before=2.0, **values)
+        taken.append(weak_pieces(rec, moves, joint))
+        return rec
+
+    taken: list[Sliding] = []
+    rec = moved(f"joint{joint}_gentle", [CALM] * GENTLE, travel / 4.0)
+    inertias = np.atleast_1d(np.asarray(rec.parameters["J"], dtype=np.float64)).copy()
+    if (found := _inertia(taken[0])) is not None:
+        inertias[joint - 1] = found
+    quick = max(
+        FASTEST,
+        PEAK * travel / (SPEED * own.speed_max),
+        (TURN * travel * inertias[joint - 1] / (TORQUE * own.torque_max)) ** 0.5,
+    )
+    durations = np.geomspace(1.0, SPREAD, MOVES) * quick
+    durations *= min(1.0, LONGEST / (2.0 * (durations.sum() + MOVES * REST)))
+    durations = np.maximum(durations, quick)
+    moved(f"joint{joint}", list(durations[::-1]), travel, J=inertias)
+    return taken[1]
+
+
+def _way(joint: JointInfo, place: float) -> tuple[float, float]:
+    """How far a joint moves, and from where: about its place, off the ends of its range."""
+    low, high = joint.position_min, joint.position_max
+    travel = min(TRAVEL, SHARE * (high - low))
+    if not travel > 0.0:
+        raise Refused(
+            f"{joint.name}: its range is {low:g} to {high:g} {joint.unit}: no way to move"
         )
-    start = len(q) - 1 - int(np.argmax(np.abs(q[::-1] - q[-1]) >= 2 * np.pi * turns))
-    rows = slice(start, len(q) - 1)
-    seconds = (len(q) - 1 - start) * rec.sample_time
-    return (
-        float((q[-1] - q[start]) / seconds),
-        float(rec["adc"][rows, 0].mean()),
-        float(rec["adc"][rows, 1].mean()),
-    )
+    aside = ASIDE * travel
+    return travel, float(np.clip(place - travel / 2, low + aside, high - aside - travel))
 
 
-def pendulum_model(theta: Array) -> Model:
-    """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, one sample late."""
-    effects: list[dict[str, object]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
-    if len(theta) > 3:
-        effects.append({"kind": "viscous", "joint": 1, "coefficient": float(theta[3])})
-    return parse_model(
-        {
-            "name": "pendulum",
-            "sample_time": 0.001,
-            "effect": effects,
-            "actuator": {"delay": 0.001, "limit": 0.8},
-            "mechanism": {
-                "kind": "rotary",
-                "parameters": {"inertia": float(theta[0]), "gravity": float(theta[1]) * G},
-            },
-        }
-    )
-
-
-def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
-    """theta1 … theta3 from the paper's open-loop torque, such that the simulated position matches
-    the recorded one.
+def _moves(
+    place: Array, joint: int, start: float, travel: float, durations: list[float], period: float
+) -> Moves:
+    """For each duration a move there and one back, without a jump of the acceleration, and rests.
     """
-    result = Result("mechanical", "Inertia, gravity and friction of the pendulum", MACHINE)
-    with lab.bench(result.name, brake=brake) as bench:
-        another: dict[str, Any] = {"level": 0.34, "a1": 0.08, "a2": -0.1, "w1": 19.0, "w2": 7.0}
-        recs = [
-            bench.record(
-                name,
-                "pendulum_torque.c",
-                ["q", "tau", "adc"],
-                seconds=seconds,
-                go=1,
-                duration=seconds,
-                **law,
-            )
-            for name, law in (("law", {}), ("another_law", another))
-        ]
-        result.recordings, result.target = bench.recordings, bench.where
-        train, test = (delivered(rec) for rec in recs)
-        from_rest = fit_parameters(train, np.full(4, 1e-3))
-        turning, speed = spinning(train)
-        extended = fit_parameters(turning, from_rest[0], speed)
-        # what the bristles take of them is their error
-        off = np.hypot(from_rest[1], from_rest[0] - extended[0])
-        paper = fit_parameters(_first(train, EARLY), extended[0][:3])
-        for theta, std, names, tail in (
-            (*paper[:2], PARAMETERS[:3], "_paper"),
-            (from_rest[0], off, PARAMETERS, "_from_rest"),
-            (*extended[:2], PARAMETERS, ""),
-        ):
-            for name, value, s in zip(names, theta, std, strict=True):
-                result.values[f"{name}{tail}"] = Estimate(float(value), float(s), UNITS[name])
-        for rec, where in ((train, "fitted"), (test, "held_out")):
-            for word, theta, part, begin in (
-                ("paper", paper[0], _first(rec, EARLY), 0.0),
-                ("viscous", extended[0], *spinning(rec)),
-            ):
-                begin = begun(theta, part, begin)
-                miss = float(np.sqrt(np.mean((simulated(theta, part, begin) - part["q"]) ** 2)))
-                result.values[f"rms_{where}_{word}"] = Estimate(miss, 0.0, "rad")
-        _say(result, seconds - float(turning.t[-1]))
-        figure = _mechanical_figure(train, test, paper[0], extended[0])
-        result.figure = save(figure, bench.folder / "mechanical.png")
-    return result
+    way, rows, row = [], [], 0
+    rest = round(REST / period)
+    for duration in durations:
+        n = round(duration / period)
+        s = np.arange(n) / n
+        share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        for there in (share, 1.0 - share):
+            way += [start + travel * there, np.full(rest, start + travel * round(there[-1]))]
+            rows.append((row, row + n))
+            row += n + rest
+    q = np.tile(place, (row, 1))
+    q[:, joint - 1] = np.concatenate(way)
+    return Moves(Reference(q, period, kind="point_to_point", machine=""), tuple(rows))
 
 
-def _say(result: Result, spins: float) -> None:
-    """Add to the result what its numbers are good for and what not; ``spins``: time from which the
-    pendulum spins, s.
+def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:
+    """Means over pieces of each move, where the joint slides.
+
+    A piece is weighted by a bump w that is 0 at its ends with its slope, so that means of speed and
+    acceleration are those of the position under -w' and w'': no noise is differentiated. The torque
+    is the one that acts.
     """
-    result.warnings.append(
-        "The paper's model has no viscous friction, and this machine has: under its torque the"
-        " shaft spins, and three parameters can match the position for about the first second"
-        f" only ({EARLY:g} s are fitted, from the four-parameter result). With the viscous term"
-        f" the position is matched from {spins:.1f} s on, where the shaft"
-        " no longer rocks: before, it turns back within the bristles of friction. The law has none;"
-        " they would bend every number by 3 to 5 %."
+    rows = playing(rec, moves.reference.samples)
+    q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
+    dt = rec.sample_time
+    speed = smoothed(q, FEWEST, dt, 1)
+    others = np.delete(np.atleast_2d(rec["q"].T).T[rows], joint - 1, axis=1)
+    pieces = []
+    for part, (first, last) in enumerate(moves.rows):
+        last = min(last + round(REST / dt / 2), len(q))
+        pace = np.abs(speed[first:last])
+        runs = stretches(pace > SLIDES * pace.max())
+        a, b = max(runs, key=lambda run: run[1] - run[0])
+        n = max(FEWEST, round(WIDTH * (b - a)))
+        for begin in np.unique(np.linspace(first + a, first + b - n, PIECES).astype(int)):
+            if b - a > n and begin + n + 2 <= len(q):
+                pieces.append((part, *_piece(q, tau, int(begin), n, dt)))
+    columns = np.array(pieces).T
+    away = float(others.std(axis=0).max(initial=0.0))
+    part, at, pace, torque, turn, rate = columns
+    none = np.zeros_like(torque)
+    # the drive's own lag, which nothing declares, is a share of the torque's rate
+    return Accelerated(part.astype(np.int64), at, pace, torque, none, turn, away, (rate,))
+
+
+def _piece(q: Array, tau: Array, begin: int, n: int, dt: float) -> tuple[float, ...]:
+    """Position, speed, torque, acceleration, and rate of the torque, of one piece of n samples."""
+    s = np.linspace(-1.0, 1.0, n)
+    # of so high an order at the ends that sums over samples are integrals, to 1e-6
+    w, dw = (1 - s**2) ** 5, -10 * s * (1 - s**2) ** 4
+    ddw = -10 * (1 - s**2) ** 4 + 80 * s**2 * (1 - s**2) ** 3
+    per = 2.0 / ((n - 1) * dt)  # ds/dt
+    here, total = q[begin : begin + n] - q[begin], w.sum()
+    at = np.arange(begin, begin + n)
+    acting = np.interp(at - ACTS, np.arange(len(tau)), tau)
+    mean, v, a = w @ here / total, -per * (dw @ here) / total, per**2 * (ddw @ here) / total
+    rate = -per * (dw @ acting) / total
+    return float(q[begin] + mean), float(v), float(w @ acting / total), float(a), float(rate)
+
+
+def _inertia(gentle: Sliding) -> float | None:
+    """The inertia that the first motion shows; None where it does not."""
+    one = np.ones_like(gentle.q)
+    A = np.stack(
+        [gentle.acceleration, np.sign(gentle.speed), gentle.speed, one, gentle.q], axis=1
     )
-    t = result.values
-    result.mechanism = {
-        "inertia": t["theta1"],
-        "gravity": Estimate(t["theta2"].value * G, t["theta2"].std * G, "N m"),
+    x, half, _ = least_squares(A, gentle.torque)
+    return float(x[0]) if half[0] / NORMAL < KNOWN * x[0] else None
+
+
+def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
+    """Add a joint's numbers, its friction as effects, and warnings."""
+    turns = unit == "rad"
+    force, mass = ("N m", "kg m^2") if turns else ("N", "kg")
+    level, viscous, dl, dv = found.mean
+    numbers = {
+        "inertia" if turns else "mass": (*found.inertia, mass),
+        "coulomb": (level, dl, force),
+        "viscous": (viscous, dv, f"{force} s/{unit}"),
     }
-    result.effects = [
-        FoundEffect("coulomb", 1, {"level": t["theta3"]}),
-        FoundEffect("viscous", 1, {"coefficient": t["viscous"]}),
+    if found.constant[1] or not turns:
+        numbers["weight"] = (*found.constant, force)
+    else:
+        numbers |= {"weight_sine": (*found.sine, force), "weight_cosine": (*found.cosine, force)}
+    row: dict[str, Cell] = {"joint": joint}
+    for name, (value, half, of) in numbers.items():
+        result.values[f"{name}{joint}"] = Estimate(value, half / NORMAL, of)
+        row[name.replace("_", " ")] = with_std(value, half, of)
+    result.tables.setdefault("joints", []).append(row)
+    if turns and found.constant[1]:
+        result.warnings.append(
+            f"Joint {joint}: the way is too short, or friction too uneven, to show how its weight"
+            " changes: it is taken as the same everywhere."
+        )
+    if found.inertia[0] - found.inertia[1] <= 0.0:
+        result.warnings.append(
+            f"Joint {joint}: its inertia is not told from zero: friction or weight hide it at these"
+            " accelerations."
+        )
+    if found.uneven:
+        result.effects += friction_effects(joint, found)
+        return
+    result.effects += [
+        FoundEffect("coulomb", joint, {"level": Estimate(level, dl / NORMAL)}),
+        FoundEffect(
+            "viscous", joint, {"coefficient": Estimate(max(0.0, viscous), dv / NORMAL)}
+        ),
     ]
 
 
-def _mechanical_figure(train: Recording, test: Recording, paper: Array, extended: Array) -> Figure:
-    """Draw both recordings and the prediction of both models."""
-    figure, axes = make_figure(2, 2, height=2.6, sharex=True)
-    for column, (rec, words) in enumerate(
-        ((train, "the paper's torque: fitted"), (test, "another torque: held out"))
-    ):
-        top, bottom = axes[0, column], axes[1, column]
-        top.plot(rec.t, rec["q"], color=BLUE, linewidth=2.0, label="machine")
-        three = simulated(paper, rec)
-        turning, speed = spinning(rec)
-        speed = begun(extended, turning, speed)
-        t, four = rec.t[-len(turning) :], simulated(extended, turning, speed)
-        top.plot(
-            rec.t,
-            np.where(np.abs(three - rec["q"]) < DRAWN, three, np.nan),
-            "--",
-            color=RED,
-            linewidth=1.0,
-            label="three parameters, as the paper",
-        )
-        top.plot(t, four, "--", color=GREEN, linewidth=1.0, label="and viscous friction")
-        bottom.plot(rec.t, rec["q"] - three, color=RED, linewidth=1.0)
-        bottom.plot(t, turning["q"] - four, color=GREEN, linewidth=1.0)
-        bottom.set_ylim(-1.5, 1.5)
-        label(top, "", "position (rad)", words, legend=column == 0)
-        label(bottom, "t (s)", "machine - model (rad)")
-    return figure
-
-
-def delivered(rec: Recording) -> Recording:
-    """The position, and the torque that the drive delivers. Its current loop lags behind the
-    command and the back-EMF, which would otherwise be taken for inertia.
-
-    i = (tau - lag d tau/dt - J qdd) / k_a + offset, fitted by least squares to the current sensor,
-    whose steps and noise thus do not enter the torque. The sensor is read at the end of a sample.
-    During the sample the back-EMF reduces the current, i = (v - k_b qd) / R_a, so its mean is that
-    of half a sample before.
-    """
-    qd = smoothed(rec["q"], SMOOTHED, rec.sample_time, 1)
-    qdd = smoothed(rec["q"], SMOOTHED, rec.sample_time, 2, degree=3)
-    rate = np.gradient(rec["tau"], rec.sample_time)
-    A = np.stack([rec["tau"], rate, qdd, np.ones(len(rec))], axis=1)
-    current, voltage = rec["adc"].T
-    x = np.linalg.lstsq(A[:-SENSED], current[SENSED:], rcond=None)[0]
-    ohm = np.stack([qd, voltage, np.ones(len(rec))], axis=1)
-    x[2] -= 0.5 * rec.sample_time * np.linalg.lstsq(ohm, current, rcond=None)[0][0]
-    columns = {"q": rec["q"], "tau": A[:, :3] @ x[:3] / x[0]}
-    return Recording.from_columns(columns, sample_time=rec.sample_time)
-
-
-def _first(rec: Recording, seconds: float) -> Recording:
-    rows = round(seconds / rec.sample_time)
-    return Recording.from_columns(
-        {"q": rec["q"][:rows], "tau": rec["tau"][:rows]}, sample_time=rec.sample_time
+def _of_one_joint(result: Result, unit: str, found: Friction) -> None:
+    """What a model of one joint takes in beside friction."""
+    inertia = Estimate(found.inertia[0], found.inertia[1] / NORMAL, "kg m^2")
+    if unit != "rad":
+        result.mechanism["mass"] = replace(inertia, unit="kg")
+        return
+    result.mechanism["inertia"] = inertia
+    (sine, half), (cosine, other) = found.sine, found.cosine
+    if abs(cosine) <= other or not found.weight:
+        result.mechanism["gravity"] = Estimate(sine, half / NORMAL, "N m")
+        return
+    result.findings.append(
+        f"The joint hangs at {np.arctan2(-cosine, sine):.3f} rad: a model with the weight"
+        " gravity sin q has its zero there."
     )
 
 
-def spinning(rec: Recording) -> tuple[Recording, float]:
-    """The rows of a recording after the shaft's last reversal, and its speed there, rad/s; where it
-    never spins, all rows, from rest.
+def _draw(curves: dict[int, tuple[Sliding, Friction]], units: list[str]) -> Figure:
+    """Left: torque without weight and inertia over speed; right: torque without friction and weight
+    over acceleration.
     """
-    speed = smoothed(rec["q"], SMOOTHED, rec.sample_time, 1)
-    rocking = np.flatnonzero(np.abs(speed) < SPINS)
-    first = int(rocking[-1]) + 1 if len(rocking) else 0
-    if not len(rocking) or (len(rec) - first) * rec.sample_time < EARLY:
-        return rec, 0.0
-    columns = {"q": rec["q"][first:], "tau": rec["tau"][first:]}
-    return Recording.from_columns(columns, sample_time=rec.sample_time), float(speed[first])
-
-
-def simulated(theta: Array, rec: Recording, speed: float = 0.0) -> Array:
-    """The position under the recorded torque, from the first row and that speed on, rad."""
-    out = np.full(len(rec), 1e3)
-    q = simulate_loop(
-        pendulum_model(theta),
-        command=rec["tau"],
-        controller={},
-        position=rec["q"][0],
-        velocity=speed,
-        inner=2,
-    )["plant_q"]
-    out[: len(q)] = q
-    return out
-
-
-def begun(theta: Array, rec: Recording, speed: float) -> float:
-    """The speed at the first row with which the position matches best, near a measured one."""
-    from scipy import optimize
-
-    if not speed:
-        return 0.0
-
-    def miss(v: Array) -> Array:
-        return np.clip(simulated(theta, rec, float(v[0])) - rec["q"], -50.0, 50.0)
-
-    found = optimize.least_squares(miss, [speed], loss="soft_l1", f_scale=0.5, diff_step=[1e-4])
-    return float(found.x[0])
-
-
-def fit_parameters(rec: Recording, start: Array, speed: float = 0.0) -> tuple[Array, Array, float]:
-    """Parameters, standard deviations and rms error, by least squares on the position. A ``speed``
-    at the first row is fitted too.
-
-    From a start value far off, the whole recording would mislead the fit; so it begins with the
-    first half second and lengthens it.
-    """
-    from scipy import optimize
-
-    count = len(start)
-    x = np.append(np.log(start), [speed] if speed else [])
-
-    for part in (500, 1000, 2000, len(rec)):
-        short = _first(rec, min(part, len(rec)) * rec.sample_time)
-
-        def miss(x: Array, piece: Recording = short) -> Array:
-            begin = float(x[count]) if speed else 0.0
-            return np.clip(simulated(np.exp(x[:count]), piece, begin) - piece["q"], -50.0, 50.0)
-
-        found = optimize.least_squares(
-            miss,
-            x,
-            x_scale=np.append(np.full(count, 0.3), [3.0] if speed else []),
-            loss="soft_l1",
-            f_scale=0.5,
-            diff_step=np.full(len(x), 1e-4),
-            bounds=(
-                np.append(np.full(count, np.log(1e-6)), [-np.inf] if speed else []),
-                np.append(np.full(count, np.log(10.0)), [np.inf] if speed else []),
-            ),
-        )
-        x = found.x
-    r = miss(x, rec)
-    # the residual is a smooth curve: it is independent between pieces, not between samples
-    block = round(BLOCK / rec.sample_time)
-    free = max(1, len(rec) // block - len(x))
-    covariance = robust_covariance(np.asarray(found.jac), r, block)
-    std = half_width(np.sqrt(np.diag(covariance)), free) / NORMAL
-    theta = np.exp(x[:count])
-    return theta, theta * std[:count], float(np.sqrt(np.mean(r**2)))
+    figure, axes = make_figure(len(curves), 2, width=8.0, height=2.6)
+    for row, (joint, (pieces, found)) in zip(axes, curves.items(), strict=True):
+        unit = units[joint - 1]
+        force = "N m" if unit == "rad" else "N"
+        row[0].plot(pieces.speed, found.free, ".", color=BLUE, markersize=4)
+        up = pieces.speed > 0
+        line = np.zeros_like(found.free)
+        for word, sign, rows in (("+", 1.0, up), ("-", -1.0, ~up)):
+            level, viscous = found.value[word][:2]
+            line[rows] = sign * level + viscous * pieces.speed[rows]
+            x = sign * np.array([0.0, np.abs(pieces.speed).max()])
+            row[0].plot(x, sign * (level + viscous * np.abs(x)), color=RED, linewidth=1.0)
+        label(row[0], f"speed ({unit}/s)", f"friction ({force})", f"joint {joint}")
+        turning = found.free - line + found.inertia[0] * pieces.acceleration
+        row[1].plot(pieces.acceleration, turning, ".", color=BLUE, markersize=4)
+        x = np.array([pieces.acceleration.min(), pieces.acceleration.max()])
+        row[1].plot(x, found.inertia[0] * x, color=RED, linewidth=1.0)
+        label(row[1], f"acceleration ({unit}/s²)", f"the rest ({force})")
+    return figure

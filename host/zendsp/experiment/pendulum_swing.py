@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from zendsp.experiment.figures import BLUE, GREEN, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab, needed, playing
-from zendsp.experiment.mechanics import MACHINE, mechanical
 from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.spun_shaft import MACHINE, mechanical
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference, load_machine, make_swing
 

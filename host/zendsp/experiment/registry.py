@@ -99,7 +99,7 @@ EXPERIMENTS = {
         Experiment(
             "electrical", "pendulum", Needs("voltage", sensed=True),
             "Torque constant and resistance of each motor, by the straight line.",
-            "mechanics:electrical",
+            "motor:electrical",
         ),
         Experiment(
             "mechanical", "pendulum", Needs(),

@@ -123,6 +123,8 @@ class Sliding:
         gravity (N m); what acceleration is left (rad/s^2).
     others : float
         By how much the others were displaced, RMS of the joint where that is most, rad.
+    further : tuple of ndarray
+        What else the torque may be proportional to.
     """
 
     part: npt.NDArray[np.int64]
@@ -132,6 +134,7 @@ class Sliding:
     gravity: Array
     acceleration: Array
     others: float = 0.0
+    further: tuple[Array, ...] = ()
 
     def points(self, friction: Array) -> Array:
         """For each part: mean speed, mean of ``friction`` and its standard error, as three rows."""
@@ -226,6 +229,12 @@ class Friction:
     slow: float = 0.0  # rad/s, at which a third of it is left
     weight_half: float = 0.0  # N m, half width of the weight
     apart_half: float = 0.0  # N m, half width of half of what the directions' levels differ by
+    # with half widths: weight as sine and cosine of the position, or the same everywhere, N m;
+    # inertia, kg m^2
+    constant: tuple[float, float] = (0.0, 0.0)
+    sine: tuple[float, float] = (0.0, 0.0)
+    cosine: tuple[float, float] = (0.0, 0.0)
+    inertia: tuple[float, float] = (0.0, 0.0)
 
 
 def fit_friction(
@@ -234,6 +243,7 @@ def fit_friction(
     unknown: bool = False,
     slow: float = 0.0,
     about: bool = False,
+    both: bool = False,
 ) -> Friction:
     """Friction of each direction together with the gravity torque that the compensation lacks.
 
@@ -242,7 +252,7 @@ def fit_friction(
     ``unknown``: nothing is known of the machine. The inertia is fitted too. Friction may vary with
     place, so the intervals are widened by what pieces of one part, or of one place, have in common.
     ``slow``: friction falls with speed below this one, rad/s; ``about``: this speed is itself
-    uncertain.
+    uncertain. ``both``: friction is the same in both directions.
     """
     up = sliding.speed > 0
     columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
@@ -250,6 +260,8 @@ def fit_friction(
         columns += [np.cos(sliding.q), np.sin(sliding.q)]
     if unknown:
         columns.append(sliding.acceleration)
+    turns = len(columns) - 1
+    columns += sliding.further
     others = len(columns)
     if slow:
         ratio = (sliding.speed / slow) ** 2
@@ -258,11 +270,16 @@ def fit_friction(
     A = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
     weight = sliding.weights()
     weighted, torque = weight[:, None] * A, weight * sliding.torque
-    x, _, inverse = least_squares(weighted, torque)
+    shared = np.eye(A.shape[1])
+    if both:
+        shared[2, 0] = shared[3, 1] = 1.0
+        shared = np.delete(shared, [2, 3], axis=1)
+    y, _, within = least_squares(weighted @ shared, torque)
+    x, inverse = shared @ y, shared @ within @ shared.T
     ways = np.zeros((4, len(x)))  # means of both directions, and half of what they differ by
     ways[0, [0, 2]] = ways[1, [1, 3]] = 0.5
     ways[2, [0, 2]] = ways[3, [1, 3]] = 0.5, -0.5
-    both = ways @ x
+    apart = ways @ x
     alike = []
     if unknown:
         parts, places = len(np.unique(sliding.part)), sliding.places()
@@ -284,14 +301,18 @@ def fit_friction(
         for word, k in (("+", 0), ("-", 2))
     }
     largest = float(np.abs(carried).max())
-    mean = (float(both[0]), float(both[1]), float(width[0]), float(width[1]))
-    uneven = bool(np.any(np.abs(both[2:]) > width[2:4]))
+    mean = (float(apart[0]), float(apart[1]), float(width[0]), float(width[1]))
+    uneven = bool(np.any(np.abs(apart[2:]) > width[2:4]))
     excess = float(x[others]) if slow else 0.0
     free = sliding.torque - A[:, 4:others] @ x[4:others]
-    return Friction(
+    found = Friction(
         value, mean, uneven, carried, free, largest, squares, excess, slow, float(width[4]),
         float(width[2]),
     )
+    each = [(float(v), float(h)) for v, h in zip(x, half, strict=True)]
+    if weighs:
+        found = replace(found, cosine=each[4], sine=each[5])
+    return replace(found, inertia=each[turns]) if unknown else found
 
 
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
