@@ -300,10 +300,15 @@ def _stop(target: Target) -> None:
         time.sleep(BRAKE_S)
 
 
+def own_program(name: str) -> dict[str, str]:
+    """Source of a program of the experiments."""
+    file = resources.files("zendsp.experiment").joinpath("programs", name)
+    return {name: file.read_text(encoding="utf-8")}
+
+
 def push_program() -> dict[str, str]:
     """Source of the program that pushes a joint with a torque."""
-    file = resources.files("zendsp.experiment").joinpath("programs", "push.c")
-    return {"push.c": file.read_text(encoding="utf-8")}
+    return own_program("push.c")
 
 
 def playing(recording: Recording, samples: int) -> slice:

@@ -15,7 +15,7 @@ from zendsp.diagnosis.data.series import stretches
 from zendsp.errors import Refused
 from zendsp.experiment import spun_shaft
 from zendsp.experiment.any_friction import fit_line
-from zendsp.experiment.estimates import NORMAL, least_squares, smoothed
+from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, smoothed
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
@@ -163,9 +163,7 @@ def _moves(
 def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:
     """Means over pieces of each move, where the joint slides.
 
-    A piece is weighted by a bump w that is 0 at its ends with its slope, so that means of speed and
-    acceleration are those of the position under -w' and w'': no noise is differentiated. The torque
-    is the one that acts.
+    The torque is the one that acts during the sample.
     """
     rows = playing(rec, moves.reference.samples)
     q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
@@ -192,17 +190,11 @@ def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:
 
 def _piece(q: Array, tau: Array, begin: int, n: int, dt: float) -> tuple[float, ...]:
     """Position, speed, torque, acceleration, and rate of the torque, of one piece of n samples."""
-    s = np.linspace(-1.0, 1.0, n)
-    # of so high an order at the ends that sums over samples are integrals, to 1e-6
-    w, dw = (1 - s**2) ** 5, -10 * s * (1 - s**2) ** 4
-    ddw = -10 * (1 - s**2) ** 4 + 80 * s**2 * (1 - s**2) ** 3
-    per = 2.0 / ((n - 1) * dt)  # ds/dt
-    here, total = q[begin : begin + n] - q[begin], w.sum()
     at = np.arange(begin, begin + n)
     acting = np.interp(at - ACTS, np.arange(len(tau)), tau)
-    mean, v, a = w @ here / total, -per * (dw @ here) / total, per**2 * (ddw @ here) / total
-    rate = -per * (dw @ acting) / total
-    return float(q[begin] + mean), float(v), float(w @ acting / total), float(a), float(rate)
+    place, speed, turn = bump_means(q[at], dt)
+    torque, rate, _ = bump_means(acting, dt)
+    return place, speed, torque, turn, rate
 
 
 def _inertia(gentle: Sliding) -> float | None:
