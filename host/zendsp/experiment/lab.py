@@ -301,9 +301,12 @@ def _stop(target: Target) -> None:
 
 
 def own_program(name: str) -> dict[str, str]:
-    """Source of a program of the experiments."""
+    """Source of a program of the experiments, with what control programs share."""
     file = resources.files("zendsp.experiment").joinpath("programs", name)
-    return {name: file.read_text(encoding="utf-8")}
+    shared = resources.files("zendsp_isr").joinpath("programs", "motion.h")
+    return {
+        name: file.read_text(encoding="utf-8"), "motion.h": shared.read_text(encoding="utf-8"),
+    }
 
 
 def push_program() -> dict[str, str]:

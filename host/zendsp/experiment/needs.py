@@ -20,8 +20,10 @@ class Needs:
     ----------
     command : {"torque", "voltage"}
         What every joint with a drive takes; the force of a slide counts as a torque.
-    least, most : int
-        How many joints with a drive; most 0: any number.
+    least : int
+        How many joints with a drive.
+    most : int
+        How many joints at all; 0: any number.
     sensed : bool
         An analog input in A and one in V for each joint with a drive.
     model : str
@@ -70,10 +72,12 @@ class Needs:
                 f" {other.command}; where the machine has both (the pendulum), start the target"
                 f" with --machine-option drive={self.command}"
             )
-        if len(driven) < self.least or 0 < self.most < len(driven):
-            many = f"{self.least} joints or more" if not self.most else f"{self.most} joint"
+        if len(driven) < self.least:
             has = counted(len(driven), "joint")
-            return f"needs {many} with a drive, and this machine has {has}"
+            return f"needs {self.least} joints with a drive, and this machine has {has}"
+        if 0 < self.most < len(machine.joints):
+            has = counted(len(machine.joints), "joint")
+            return f"needs a machine of {counted(self.most, 'joint')}, and this one has {has}"
         if self.sensed and (lacks := _unsensed(machine, len(driven))):
             return lacks
         if self.model and not has_model:

@@ -1,18 +1,19 @@
-"""The pendulum paper's comparison: an optimal swing planned with friction in its model, in open and
-closed loop, and friction compensated by feedback.
+"""The pendulum paper's comparison on the pendulum: an optimal swing planned with friction in its
+model, in open and closed loop, and friction compensated by feedback.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 
 from zendsp.experiment.figures import BLUE, GREEN, GREY, RED, label, make_figure, save
-from zendsp.experiment.lab import Lab, needed, playing
+from zendsp.experiment.lab import Bench, Lab, needed, playing
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.spun_shaft import MACHINE, mechanical
 from zendsp.recording import Recording
@@ -24,6 +25,17 @@ GOAL = math.pi
 AFTER = 1.5  # s, to see whether it stays
 RUNS = ("open loop", "closed loop", "feedback level")
 CHANNELS = ("play_time", "q", "qd", "tau", "r", "adc")
+
+
+@dataclass(frozen=True)
+class Plans:
+    """Swings planned with the measured friction and without any, and how the drawing says it."""
+
+    with_friction: Reference
+    without: Reference
+    unit: str = "rad"
+    gains: str = "kp = 1.2, kv = 0.005"
+    goal: float = GOAL
 
 
 def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0.08) -> Result:
@@ -52,20 +64,7 @@ def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0
             "feedback_level", "pendulum_compensation.c", CHANNELS, reference=without, fc=fc,
             kp=1.2, kv=0.005, **options,
         )
-        result.recordings, result.target = bench.recordings, bench.where
-        for name, rec in recs.items():
-            _measure(result, name, rec, without if name == "feedback level" else with_friction)
-        result.tables["runs"] = [
-            {
-                "run": name,
-                **{
-                    key: str(result.values[f"{name.replace(' ', '_')}_{key}"])
-                    for key in ("final_error", "path_rms", "torque_activity")
-                },
-            }
-            for name in RUNS
-        ]
-        result.figure = save(_draw(recs, with_friction, without), bench.folder / "swing.png")
+        compare(result, recs, Plans(with_friction, without), bench)
     return result
 
 
@@ -85,49 +84,78 @@ def _rows(rec: Recording) -> slice:
     return slice(playing(rec, 0).start, len(rec))
 
 
-def _measure(result: Result, name: str, rec: Recording, reference: Reference) -> None:
+def compare(result: Result, recs: dict[str, Recording], plans: Plans, bench: Bench) -> None:
+    """Add to the result what the runs reached, their table and their figure."""
+    result.recordings, result.target = bench.recordings, bench.where
+    for name, rec in recs.items():
+        plan = plans.without if name == "feedback level" else plans.with_friction
+        _measure(result, name, rec, plan, plans)
+    result.tables["runs"] = [
+        {
+            "run": name,
+            **{
+                key: str(result.values[f"{name.replace(' ', '_')}_{key}"])
+                for key in ("final_error", "path_rms", "torque_activity")
+            },
+        }
+        for name in RUNS
+    ]
+    result.figure = save(_draw(recs, plans), bench.folder / "swing.png")
+
+
+def _measure(
+    result: Result, name: str, rec: Recording, reference: Reference, plans: Plans
+) -> None:
     rows = _rows(rec)
     q, tau = rec["q"][rows], rec["tau"][rows]
     n = min(reference.samples, len(q))
     key = name.replace(" ", "_")
-    result.values[f"{key}_final_error"] = Estimate(float(abs(q[-1] - GOAL)), 0.0, "rad")
+    force = "N m" if plans.unit == "rad" else "N"
+    result.values[f"{key}_final_error"] = Estimate(float(abs(q[-1] - plans.goal)), 0.0, plans.unit)
     result.values[f"{key}_path_rms"] = Estimate(
-        float(np.sqrt(np.mean((q[:n] - reference.q[:n, 0]) ** 2))), 0.0, "rad"
+        float(np.sqrt(np.mean((q[:n] - reference.q[:n, 0]) ** 2))), 0.0, plans.unit
     )
     # oscillation of the command: mean |change of torque| a second, the plan's own taken off
     own = float(np.abs(np.diff(reference.tau[:, 0])).sum()) if reference.tau is not None else 0.0
     result.values[f"{key}_torque_activity"] = Estimate(
-        float(np.abs(np.diff(tau)).sum() - own), 0.0, "N m"
+        float(np.abs(np.diff(tau)).sum() - own), 0.0, force
     )
 
 
-def _draw(recs: dict[str, Recording], with_friction: Reference, without: Reference) -> Any:
-    """Draw position and speed, torque and measured current; the plans are dashed."""
+def _draw(recs: dict[str, Recording], plans: Plans) -> Figure:
+    """Draw position and speed, torque and, where it is sensed, current; the plans are dashed."""
     figure, axes = make_figure(2, 2, width=11.0, height=2.7, sharex=True)
     (position, speed), (torque, current) = axes
     for plan, colour, name in (
-        (with_friction, "black", "plan with friction"),
-        (without, GREY, "plan without friction"),
+        (plans.with_friction, "black", "plan with friction"),
+        (plans.without, GREY, "plan without friction"),
     ):
         lines: dict[str, Any] = {"color": colour, "linestyle": "--", "linewidth": 1.0}
         position.plot(plan.t, plan.q[:, 0], label=name, **lines)
         speed.plot(plan.t, plan.qd[:, 0], **lines)
         if plan.tau is not None:
             torque.plot(plan.t, plan.tau[:, 0], **lines)
-    position.axhline(GOAL, color=GREY, linewidth=0.6)
+    position.axhline(plans.goal, color=GREY, linewidth=0.6)
     words = {
         "open loop": "open loop",
-        "closed loop": "closed loop, kp = 1.2, kv = 0.005",
+        "closed loop": f"closed loop, {plans.gains}",
         "feedback level": "friction compensated at the feedback level",
     }
+    sensed = all("adc" in rec for rec in recs.values())
     for (name, rec), colour in zip(recs.items(), (BLUE, GREEN, RED), strict=True):
         rows = _rows(rec)
         t = rec.t[rows] - rec.t[rows.start]
         position.plot(t, rec["q"][rows], color=colour, linewidth=1.4, label=words[name])
-        for axis, values in ((speed, rec["qd"]), (torque, rec["tau"]), (current, rec["adc"][:, 0])):
-            axis.plot(t, values[rows], color=colour, linewidth=1.0)
-    label(position, "", "position (rad)", legend=True)
-    label(speed, "", "speed (rad/s)")
-    label(torque, "t (s)", "torque (N m)")
-    label(current, "t (s)", "measured current (A)")
+        speed.plot(t, rec["qd"][rows], color=colour, linewidth=1.0)
+        torque.plot(t, rec["tau"][rows], color=colour, linewidth=1.0)
+        if sensed:
+            current.plot(t, rec["adc"][rows, 0], color=colour, linewidth=1.0)
+    force = "N m" if plans.unit == "rad" else "N"
+    label(position, "", f"position ({plans.unit})", legend=True)
+    label(speed, "", f"speed ({plans.unit}/s)")
+    label(torque, "t (s)", f"torque ({force})" if force == "N m" else "force (N)")
+    if sensed:
+        label(current, "t (s)", "measured current (A)")
+    else:
+        current.set_axis_off()
     return figure

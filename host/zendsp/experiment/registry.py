@@ -109,7 +109,7 @@ EXPERIMENTS = {
         Experiment(
             "swing", "pendulum", Needs(most=1),
             "Optimal swing open and closed loop, and friction at the feedback level.",
-            "pendulum_swing:swing",
+            "swing:swing",
         ),
         Experiment(
             "tracking", "wam7", Needs(model="with friction"),
