@@ -3,6 +3,7 @@ noise, other places of uneven friction and other start positions; how often do t
 hold what the machine really has?
 
     python benchmarks/experiments.py --keep runs.json --page docs/measurements/experiments.md
+    python benchmarks/experiments.py --machine slide.xml --seeds 40     # what fits a MuJoCo model
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from zendsp.experiment import EXPERIMENTS as ALL
 from zendsp.experiment import Lab, Result
 from zendsp.experiment.any_friction import friction
 from zendsp.experiment.imi_breakaway import static
 from zendsp.experiment.imi_friction import viscous
 from zendsp.experiment.lab import Bench
-from zendsp.experiment.mechanics import electrical, mechanical
+from zendsp.experiment.mechanics import mechanical
+from zendsp.experiment.motor import electrical
 from zendsp.experiment.truth import FRICTION, TRUTH
 from zendsp.experiment.wam_friction import friction as wam_friction
 from zendsp.link import local
@@ -51,15 +54,48 @@ def _wam(joint: int) -> Callable[[Lab], Result]:
     return lambda lab: wam_friction(lab, joints=(joint,), narrow=False)
 
 
-def _any(machine: str, joint: int) -> Callable[[Lab], Result]:
-    def make(lab: Lab) -> Result:
+def _any(machine: str, make: Callable[..., Result], joint: int) -> Callable[[Lab], Result]:
+    def made(lab: Lab) -> Result:
         step = [f"substep={SUBSTEP[machine]}"] if machine in SUBSTEP else []
         options = [f"seed={lab.seed}", *step]
         arguments = [part for option in options for part in ("--machine-option", option)]
         with local(machine, clock="fast", options=arguments) as target:
-            return friction(Lab(lab.folder, target, seed=lab.seed), joints=(joint,))
+            return make(Lab(lab.folder, target, seed=lab.seed), joints=(joint,))
 
-    return make
+    return made
+
+
+def of_model(file: Path) -> dict[str, Repeated]:
+    """`friction` and `mechanical` of each joint of a MuJoCo model, and what the file says of it.
+    Inertia and weight of a joint that carries others depend on how these hang: they are compared
+    where the joint stands alone.
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    found = {}
+    for j in range(model.nv):
+        n, loss, damping = j + 1, float(model.dof_frictionloss[j]), float(model.dof_damping[j])
+        truth = {f"coulomb{n}{end}": loss for end in ("", "_pos", "_neg")}
+        truth |= {f"viscous{n}{end}": damping for end in ("", "_pos", "_neg")}
+        found[f"friction, {file.stem}, joint {n}"] = Repeated(_any(str(file), friction, n), truth)
+        if model.nv == 1:
+            level = float(data.qfrc_bias[0])
+            if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
+                truth = truth | {"mass1": float(mass[0, 0]), "weight1": level}
+            else:
+                data.qpos[0] = np.pi / 2
+                mujoco.mj_forward(model, data)
+                sine = float(data.qfrc_bias[0])
+                truth = truth | {"inertia1": float(mass[0, 0]), "weight_sine1": sine,
+                                 "weight_cosine1": level}  # fmt: skip
+        found[f"mechanical, {file.stem}, joint {n}"] = Repeated(
+            _any(str(file), mechanical, n), truth
+        )
+    return found
 
 
 EXPERIMENTS: dict[str, Repeated] = {
@@ -70,11 +106,11 @@ EXPERIMENTS: dict[str, Repeated] = {
     "electrical": Repeated(electrical, TRUTH["electrical"]),
     "mechanical": Repeated(mechanical, TRUTH["mechanical"]),
     **{
-        f"wam-friction, joint {joint}": Repeated(_wam(joint), TRUTH["friction"])
+        f"friction, joint {joint}": Repeated(_wam(joint), TRUTH["friction"])
         for joint in range(1, 8)
     },
     **{
-        f"friction, {machine}, joint {joint}": Repeated(_any(machine, joint), truth)
+        f"friction, {machine}, joint {joint}": Repeated(_any(machine, friction, joint), truth)
         for machine, truth in FRICTION.items()
         for joint in range(1, 8)
         if f"coulomb{joint}_pos" in truth
@@ -86,10 +122,10 @@ class Quick(Lab):
     """A lab whose machines integrate with longer steps."""
 
     @contextmanager
-    def bench(self, machine: str | None, name: str, **options: Any) -> Iterator[Bench]:
-        if machine in SUBSTEP:
-            options["substep"] = SUBSTEP[machine]
-        with super().bench(machine, name, **options) as bench:
+    def bench(self, name: str, **options: Any) -> Iterator[Bench]:
+        if ALL[name].shipped in SUBSTEP:
+            options["substep"] = SUBSTEP[ALL[name].shipped]
+        with super().bench(name, **options) as bench:
             yield bench
 
 
@@ -173,7 +209,11 @@ def main() -> None:
     p.add_argument("--minutes", type=float, default=float("inf"), help="stop after so many")
     p.add_argument("--keep", type=Path, help="go on from this file, and keep the repetitions there")
     p.add_argument("--page", type=Path, help="write the tables there (Markdown)")
+    p.add_argument("--machine", type=Path, help="instead: a MuJoCo model, which has the truth")
     args = p.parse_args()
+    if args.machine:
+        EXPERIMENTS.clear()
+        EXPERIMENTS.update(of_model(args.machine))
     keep_nothing()
     until = time.monotonic() + 60 * args.minutes
     kept = json.loads(args.keep.read_text()) if args.keep and args.keep.exists() else {}

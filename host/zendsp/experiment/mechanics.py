@@ -39,6 +39,8 @@ SPREAD = 6.0  # slowest over fastest move
 MOVES = 6  # durations, each there and back
 GENTLE = 3  # cycles of the first motion, over a quarter of the way …
 CALM = 2.0  # s, each move of it
+FOLLOWS = 0.8  # of that way, at least; else the loop is made stiffer …
+STIFFER, TRIES = 3.0, 4  # … by so much, so often
 KNOWN = 0.2  # of an inertia, its standard deviation at most where the loop is set by it
 REST = 0.3  # s, after each move
 LONGEST = 50.0  # s, all moves together: a table holds 60 s
@@ -105,27 +107,43 @@ def _measure(bench: Bench, joint: int, place: Array) -> Sliding:
     travel, start = _way(own, float(place[joint - 1]))
     period = 1.0 / bench.target.status().rate_hz
 
-    def moved(name: str, durations: list[float], way: float, **values: Any) -> Recording:
+    def moved(
+        name: str, durations: list[float], way: float, **values: Any
+    ) -> tuple[Recording, Moves]:
         moves = _moves(place, joint, start + (travel - way) / 2.0, way, durations, period)
         rec = bench.record(name, PROGRAM, CHANNELS, reference=moves.reference, before=2.0, **values)
-        taken.append(weak_pieces(rec, moves, joint))
-        return rec
+        return rec, moves
 
-    taken: list[Sliding] = []
-    rec = moved(f"joint{joint}_gentle", [CALM] * GENTLE, travel / 4.0)
+    gentle, calm = f"joint{joint}_gentle", [CALM] * GENTLE
+    rec, moves = moved(gentle, calm, travel / 4.0)
     inertias = np.atleast_1d(np.asarray(rec.parameters["J"], dtype=np.float64)).copy()
-    if (found := _inertia(taken[0])) is not None:
-        inertias[joint - 1] = found
+    for _ in range(TRIES):  # a light joint with much friction hardly gives way to its loop
+        if _followed(rec, joint) > FOLLOWS * travel / 4.0:
+            break
+        inertias[joint - 1] *= STIFFER
+        rec, moves = moved(gentle, calm, travel / 4.0, J=inertias)
+    else:
+        raise Refused(
+            f"{own.name}: does not follow its loop, of {travel / 4.0:.3g} {own.unit} it moves"
+            f" {_followed(rec, joint):.3g}: let the machine declare a larger inertia of the joint"
+        )
+    found = _inertia(weak_pieces(rec, moves, joint)) or 0.0
+    inertias[joint - 1] = max(inertias[joint - 1], found)
     quick = max(
         FASTEST,
         PEAK * travel / (SPEED * own.speed_max),
-        (TURN * travel * inertias[joint - 1] / (TORQUE * own.torque_max)) ** 0.5,
+        (TURN * travel * (found or inertias[joint - 1]) / (TORQUE * own.torque_max)) ** 0.5,
     )
     durations = np.geomspace(1.0, SPREAD, MOVES) * quick
     durations *= min(1.0, LONGEST / (2.0 * (durations.sum() + MOVES * REST)))
     durations = np.maximum(durations, quick)
-    moved(f"joint{joint}", list(durations[::-1]), travel, J=inertias)
-    return taken[1]
+    return weak_pieces(*moved(f"joint{joint}", list(durations[::-1]), travel, J=inertias), joint)
+
+
+def _followed(rec: Recording, joint: int) -> float:
+    """How far a joint moved while the reference was played."""
+    q = np.atleast_2d(rec["q"].T).T[rec["play_time"] >= 0.0, joint - 1]
+    return float(np.ptp(q))
 
 
 def _way(joint: JointInfo, place: float) -> tuple[float, float]:

@@ -31,6 +31,7 @@ NARROW_JOINTS = (2, 4)
 POSE = (0.0, 0.4, 0.0, 1.5, -1.5, 0.0, 0.0)  # rad, where the other joints stay
 TRAVEL = 0.75  # rad: far enough to tell a weight that the model lacks from friction
 DECIMATION = 4
+DAC_STEP = 20000.0 / 4096.0  # mV: 12 bits over ±10 V
 ACTS = 1.5  # samples after its own, on the mean: a command acts during the next one
 STEADY, MOVING = 1e-6, 1e-3  # rad/s², rad/s, of a plan: its parts at constant speed
 SHORTEST = 20  # rows of such a part: ten pieces of two
@@ -93,7 +94,8 @@ def _map(bench: Bench, joint: int, speeds: tuple[float, ...], travel: float, nam
     rec = bench.record(
         name, "wam_pd_gravity.c", CHANNELS, reference=reference, before=3.0, decimation=DECIMATION
     )
-    return constant_speed_pieces(rec, reference, joint)
+    step = DAC_STEP / bench.machine.joints[joint - 1].mv_per_torque
+    return replace(constant_speed_pieces(rec, reference, joint), step=step)
 
 
 def _moves(joint: int, speeds: tuple[float, ...], travel: float) -> Reference:
@@ -125,6 +127,8 @@ class Sliding:
         By how much the others were displaced, RMS of the joint where that is most, rad.
     further : tuple of ndarray
         What else the torque may be proportional to.
+    step : float
+        Of the torque, where the resolution of the command is known, N m.
     """
 
     part: npt.NDArray[np.int64]
@@ -135,6 +139,7 @@ class Sliding:
     acceleration: Array
     others: float = 0.0
     further: tuple[Array, ...] = ()
+    step: float = 0.0
 
     def points(self, friction: Array) -> Array:
         """For each part: mean speed, mean of ``friction`` and its standard error, as three rows."""
@@ -292,6 +297,12 @@ def fit_friction(
     half, width = np.split(
         widest(weighted, torque - weighted @ x, inverse, every, alike), [len(x)]
     )
+    if sliding.step:  # what a constant command is rounded by is the same in all of a part
+        sums = [(weighted * weight[:, None])[sliding.part == k].sum(axis=0)
+                for k in np.unique(sliding.part)]  # fmt: skip
+        rounded = np.linalg.norm(every @ inverse @ np.transpose(sums), axis=1) / 12**0.5
+        more = NORMAL * sliding.step * rounded
+        half, width = np.hypot(half, more[: len(x)]), np.hypot(width, more[len(x) :])
     if unknown:  # the others give way in the direction of the move, and change that weight
         blur = NORMAL * sliding.others * float(np.hypot(*x[4:6])) if weighs else 0.0
         half[[0, 2]], width[0] = np.hypot(half[[0, 2]], blur), np.hypot(width[0], blur)
