@@ -12,7 +12,7 @@ from zendsp.experiment.registry import EXPERIMENTS, Experiment
 from zendsp.experiment.result import Result
 from zendsp.physics import load_model, model_text, parse_model
 from zendsp.physics.effects import Effect, get_effect
-from zendsp.physics.model import Model, Quantity
+from zendsp.physics.model import PARAMETERS, Model, Quantity
 from zendsp.reference import load_machine
 from zendsp.reference.machine import MACHINES
 from zendsp.whole_file import write_whole
@@ -134,8 +134,15 @@ def put_into(result: Result, path: str | Path) -> list[str]:
         if joints
         else []
     )
-    mechanism = dict(model.mechanism)
+    mechanism, may = dict(model.mechanism), PARAMETERS[model.kind] or ()
+    if not result.effects and not any(name in may for name in result.mechanism):
+        raise ModelError(
+            f"{path}: a mechanism of kind {model.kind} has no {' or '.join(result.mechanism)}"
+        )
     for name, estimate in result.mechanism.items():
+        if name not in may:
+            changes.append(f"{name}: {estimate} stays out: the file of the {model.kind} has it")
+            continue
         before = mechanism.get(name)
         mechanism[name] = (Quantity(estimate.value, True, estimate.unit, estimate.std),)
         changes.append(f"{name}: {estimate}" + (f" (was {before[0].value:.4g})" if before else ""))

@@ -9,6 +9,7 @@ from zendsp_protocol.messages import JointInfo, MachineInfo
 from zendsp_protocol.texts import counted
 
 Command = Literal["torque", "voltage"]
+HAS_BOTH = "pendulum"  # a setting of it chooses
 FORCES = ("torque", "force")  # of a slide
 
 
@@ -67,10 +68,13 @@ class Needs:
         fit = FORCES if self.command == "torque" else (self.command,)
         other = next((j for j in driven if j.command not in fit), None)
         if other is not None:
+            both = (
+                f"; start its target with --machine-option drive={self.command}"
+                if machine.name == HAS_BOTH else ""
+            )
             return (
                 f"needs a machine whose command is a {self.command}, at {other.name} it is a"
-                f" {other.command}; where the machine has both (the pendulum), start the target"
-                f" with --machine-option drive={self.command}"
+                f" {other.command}{both}"
             )
         if len(driven) < self.least:
             has = counted(len(driven), "joint")
