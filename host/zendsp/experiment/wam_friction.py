@@ -127,6 +127,8 @@ class Sliding:
         By how much the others were displaced, RMS of the joint where that is most, rad.
     further : tuple of ndarray
         What else the torque may be proportional to.
+    scatter : ndarray, optional
+        Standard deviation of the torque within each piece, N m.
     step : float
         Of the torque, where the resolution of the command is known, N m.
     """
@@ -139,7 +141,18 @@ class Sliding:
     acceleration: Array
     others: float = 0.0
     further: tuple[Array, ...] = ()
+    scatter: Array | None = None
     step: float = 0.0
+
+    def rounded(self) -> Array:
+        """Standard deviation of what the mean torque of each piece is rounded by. A command that
+        scatters over steps is rounded by nothing on the mean (Widrow and Kollár 2008).
+        """
+        if self.scatter is None or not self.step:
+            return np.zeros_like(self.torque)
+        return np.asarray(
+            self.step / 12**0.5 * np.exp(-2.0 * (np.pi * self.scatter / self.step) ** 2)
+        )
 
     def points(self, friction: Array) -> Array:
         """For each part: mean speed, mean of ``friction`` and its standard error, as three rows."""
@@ -209,12 +222,13 @@ def constant_speed_pieces(
         if last - first < SHORTEST:
             continue
         for piece in np.array_split(np.arange(first, last), 10):
-            pieces.append((part, *(x[piece].mean() for x in (q, qd, tau - g, g, qdd))))
+            means = (x[piece].mean() for x in (q, qd, tau - g, g, qdd))
+            pieces.append((part, *means, tau[piece].std()))
     columns = np.array(pieces).T
     away = np.atleast_2d(rec["q"].T).T[rows][: len(steady)][steady]
     others = np.delete(away.std(axis=0), joint - 1).max(initial=0.0)
-    found = Sliding(columns[0].astype(np.int64), *columns[1:])
-    return replace(found, others=float(others))
+    found = Sliding(columns[0].astype(np.int64), *columns[1:6])
+    return replace(found, others=float(others), scatter=columns[6])
 
 
 @dataclass(frozen=True)
@@ -297,11 +311,10 @@ def fit_friction(
     half, width = np.split(
         widest(weighted, torque - weighted @ x, inverse, every, alike), [len(x)]
     )
-    if sliding.step:  # what a constant command is rounded by is the same in all of a part
-        sums = [(weighted * weight[:, None])[sliding.part == k].sum(axis=0)
-                for k in np.unique(sliding.part)]  # fmt: skip
-        rounded = np.linalg.norm(every @ inverse @ np.transpose(sums), axis=1) / 12**0.5
-        more = NORMAL * sliding.step * rounded
+    if sliding.step:  # what a command is rounded by is the same in all of a part
+        error = weighted * (weight * sliding.rounded())[:, None]
+        sums = [error[sliding.part == k].sum(axis=0) for k in np.unique(sliding.part)]
+        more = NORMAL * np.linalg.norm(every @ inverse @ np.transpose(sums), axis=1)
         half, width = np.hypot(half, more[: len(x)]), np.hypot(width, more[len(x) :])
     if unknown:  # the others give way in the direction of the move, and change that weight
         blur = NORMAL * sliding.others * float(np.hypot(*x[4:6])) if weighs else 0.0
