@@ -15,13 +15,13 @@ from zendsp.experiment.imi_breakaway import breakaway_torque, bristle_stiffness,
 from zendsp.experiment.imi_fit import fit_curve
 from zendsp.experiment.imi_friction import inertia_torque
 from zendsp.experiment.motor import steady_means
-from zendsp.experiment.spun_shaft import delivered, fit_parameters, pendulum_model
-from zendsp.experiment.wam_friction import (
+from zendsp.experiment.sliding import (
     Sliding,
     cannot_separate,
     constant_speed_pieces,
     fit_friction,
 )
+from zendsp.experiment.spun_shaft import delivered, fit_parameters, pendulum_model
 from zendsp.physics import simulate_loop
 from zendsp.recording import Recording
 from zendsp.reference import Reference

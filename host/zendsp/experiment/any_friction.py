@@ -15,7 +15,7 @@ from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
-from zendsp.experiment.wam_friction import (
+from zendsp.experiment.sliding import (
     Friction,
     Sliding,
     constant_speed_pieces,

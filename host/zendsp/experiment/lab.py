@@ -115,7 +115,7 @@ class Lab:
             if lacks := experiment.lacking(machine, self.model is not None):
                 raise Refused(f"experiment {name} {lacks}")
             folder.mkdir(parents=True, exist_ok=True)
-            yield from self._guard(Bench(self.target, machine, folder, self.say, drives.explicit))
+            yield from self._guard(Bench(self.target, folder, self.say, machine, drives.explicit))
             return
         from zendsp.link import local
 
@@ -127,7 +127,7 @@ class Lab:
         ]
         target = local(experiment.shipped, clock="fast", options=arguments)
         try:
-            yield from self._guard(Bench(target, told(target), folder, self.say))
+            yield from self._guard(Bench(target, folder, self.say))
         finally:
             target.close()
 
@@ -169,20 +169,28 @@ def told(target: Target) -> MachineInfo:
 
 
 class Bench:
-    """One machine on one target, for the duration of an experiment, and what it declares."""
+    """One machine on one target, for the duration of an experiment."""
 
     def __init__(
         self,
         target: Target,
-        machine: MachineInfo,
         folder: Path,
         say: Say,
+        machine: MachineInfo | None = None,
         enabled: bool = False,
     ) -> None:
-        self.target, self.machine, self.folder, self.say = target, machine, folder, say
+        self.target, self.folder, self.say = target, folder, say
+        self._machine = machine
         self._enabled = enabled  # by somebody: again after each load, which switches them off
         self.recordings: list[str] = []
         self.loaded: object = None
+
+    @property
+    def machine(self) -> MachineInfo:
+        """What the machine declares."""
+        if self._machine is None:
+            self._machine = told(self.target)
+        return self._machine
 
     @property
     def where(self) -> str:

@@ -19,7 +19,7 @@ from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, smoot
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
-from zendsp.experiment.wam_friction import ACTS, Friction, Sliding, friction_effects
+from zendsp.experiment.sliding import ACTS, Friction, Sliding, friction_effects
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo

@@ -13,8 +13,8 @@ from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.names import result_file
 from zendsp.experiment.result import Cell, Estimate, Result, Row, number
+from zendsp.experiment.sliding import cannot_separate
 from zendsp.experiment.truth import TRUTH
-from zendsp.experiment.wam_friction import cannot_separate
 
 Rows = Sequence[Sequence[str]]
 WIDTH = 100  # columns of the page's prose

@@ -69,13 +69,14 @@ def tracking(lab: Lab, joints: tuple[int, ...] = (), duration: float = DURATION)
     own = name == wam_friction.MACHINE and lab.model is None
     measured = needed(lab, "friction", wam_friction.friction) if own else None
     model = load_model(lab.model) if lab.model is not None else None
-    result = Result("tracking", f"Joint error of {name}, machine and simulation", name)
+    wam = name == wam_friction.MACHINE
+    whose = "the WAM" if wam else name
+    result = Result("tracking", f"Joint error of {whose}, machine and simulation", name)
     errors: dict[str, tuple[Array, Array]] = {}
     with lab.bench(result.name) as bench:
         if measured is not None:
             model = measured_model(measured, bench.folder)
         assert model is not None  # the bench has asked for one
-        wam = name == wam_friction.MACHINE
         plan = _wam_plan(model) if wam else _any_plan(bench, model)
         moved = joints or tuple(int(j) + 1 for j in np.flatnonzero(plan.way))
         together = [("all", moved)] if len(moved) > 1 else []

@@ -4,18 +4,23 @@ averaged and fitted by least squares, for each direction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.series import stretches
-from zendsp.experiment.estimates import NORMAL, least_squares, line_fit, smoothed, widest
+from zendsp.experiment.estimates import NORMAL, line_fit
 from zendsp.experiment.figures import BLUE, GREY, RED, label, make_figure, save
-from zendsp.experiment.lab import Bench, Lab, playing
-from zendsp.experiment.result import Estimate, FoundEffect, Result
-from zendsp.recording import Recording
+from zendsp.experiment.lab import Bench, Lab
+from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.sliding import (
+    Sliding,
+    cannot_separate,
+    constant_speed_pieces,
+    fit_friction,
+    friction_effects,
+)
 from zendsp.reference import Reference, load_machine, make_trapezoid
 from zendsp_protocol.views import with_std
 
@@ -32,11 +37,6 @@ POSE = (0.0, 0.4, 0.0, 1.5, -1.5, 0.0, 0.0)  # rad, where the other joints stay
 TRAVEL = 0.75  # rad: far enough to tell a weight that the model lacks from friction
 DECIMATION = 4
 DAC_STEP = 20000.0 / 4096.0  # mV: 12 bits over ±10 V
-ACTS = 1.5  # samples after its own, on the mean: a command acts during the next one
-STEADY, MOVING = 1e-6, 1e-3  # rad/s², rad/s, of a plan: its parts at constant speed
-SHORTEST = 20  # rows of such a part: ten pieces of two
-SMOOTHED = 41  # rows that a speed is read from, at most
-QUIETEST = 0.03  # of the largest scatter: what two others differ by below is rounding
 CHANNELS = ("play_time", "q", "tau", "g")
 # Coulomb N m and viscous N m s/rad, positive and negative direction, of the seven-joint paper
 PAPER = {
@@ -112,233 +112,6 @@ def _moves(joint: int, speeds: tuple[float, ...], travel: float) -> Reference:
     )
 
 
-@dataclass(frozen=True)
-class Sliding:
-    """Means over short pieces of those parts of a joint's moves that have constant speed.
-
-    Attributes
-    ----------
-    part : ndarray of int
-        Which part a piece belongs to.
-    q, speed, torque, gravity, acceleration : ndarray
-        Position (rad), speed (rad/s), torque less the model's gravity, and that
-        gravity (N m); what acceleration is left (rad/s^2).
-    others : float
-        By how much the others were displaced, RMS of the joint where that is most, rad.
-    further : tuple of ndarray
-        What else the torque may be proportional to.
-    scatter : ndarray, optional
-        Standard deviation of the torque within each piece, N m.
-    step : float
-        Of the torque, where the resolution of the command is known, N m.
-    """
-
-    part: npt.NDArray[np.int64]
-    q: Array
-    speed: Array
-    torque: Array
-    gravity: Array
-    acceleration: Array
-    others: float = 0.0
-    further: tuple[Array, ...] = ()
-    scatter: Array | None = None
-    step: float = 0.0
-
-    def rounded(self) -> Array:
-        """Standard deviation of what the mean torque of each piece is rounded by. A command that
-        scatters over steps is rounded by nothing on the mean (Widrow and Kollár 2008).
-        """
-        if self.scatter is None or not self.step:
-            return np.zeros_like(self.torque)
-        return np.asarray(
-            self.step / 12**0.5 * np.exp(-2.0 * (np.pi * self.scatter / self.step) ** 2)
-        )
-
-    def points(self, friction: Array) -> Array:
-        """For each part: mean speed, mean of ``friction`` and its standard error, as three rows."""
-        rows = []
-        for k in np.unique(self.part):
-            here = friction[self.part == k]
-            rows.append(
-                (
-                    self.speed[self.part == k].mean(),
-                    here.mean(),
-                    here.std(ddof=1) / len(here) ** 0.5,
-                )
-            )
-        return np.array(rows)
-
-    def places(self) -> npt.NDArray[np.int64]:
-        """The tenth of the way in which each piece lies."""
-        edges = np.linspace(self.q.min(), self.q.max(), 11)[1:-1]
-        return np.digitize(self.q, edges)
-
-    def weights(self) -> Array:
-        """The weight of each piece: one over the scatter of pieces of that speed about a parabola
-        along their part, relative to the largest. Short fast parts scatter ten times as much as
-        long slow ones.
-        """
-        left, pace = np.zeros_like(self.torque), np.zeros_like(self.torque)
-        for k in np.unique(self.part):
-            here = self.part == k
-            pace[here] = np.round(4.0 * np.log2(np.abs(self.speed[here].mean())))
-            x = np.vander(self.q[here] - self.q[here].mean(), 3)
-            left[here] = self.torque[here] - x @ np.linalg.lstsq(x, self.torque[here])[0]
-        scatter = np.ones_like(left)
-        for v in np.unique(pace):
-            scatter[pace == v] = np.sqrt(np.mean(left[pace == v] ** 2))
-        largest = float(scatter.max())
-        return largest / np.maximum(scatter, QUIETEST * largest) if largest else scatter + 1.0
-
-
-def constant_speed_pieces(
-    rec: Recording, reference: Reference, joint: int, gravity: bool = True
-) -> Sliding:
-    """The parts of a recording at constant speed, ten pieces each. ``gravity``: the program records
-    as ``g`` what it compensates.
-
-    The first 30 % of each part are left out, in which the controller settles; so is the end, where
-    a smoothed speed would take in the following ramp.
-    """
-    rows = playing(rec, reference.samples // rec.decimation)
-    q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
-    # where the program compensates no weight, all of it is found beside friction
-    g = rec["g"][rows][:, joint - 1] if gravity else np.zeros_like(tau)
-    wanted = reference.qd[:: rec.decimation, joint - 1][: len(q)]
-    steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < STEADY) & (
-        np.abs(wanted) > MOVING
-    )
-    moves = stretches(steady)
-    beside = min(SMOOTHED, min((b - a for a, b in moves), default=SMOOTHED) // 4) // 2
-    window = max(3, 2 * beside + 1)
-    qd, qdd = (smoothed(q, window, rec.sample_time, order) for order in (1, 2))
-    ahead = ACTS * reference.sample_time
-    q, qd = q + ahead * qd, qd + ahead * qdd
-    g = g + ahead * smoothed(g, window, rec.sample_time, 1)
-    pieces = []
-    for part, (first, last) in enumerate(moves):
-        first += round(0.3 * (last - first))
-        last -= beside
-        if last - first < SHORTEST:
-            continue
-        for piece in np.array_split(np.arange(first, last), 10):
-            means = (x[piece].mean() for x in (q, qd, tau - g, g, qdd))
-            pieces.append((part, *means, tau[piece].std()))
-    columns = np.array(pieces).T
-    away = np.atleast_2d(rec["q"].T).T[rows][: len(steady)][steady]
-    others = np.delete(away.std(axis=0), joint - 1).max(initial=0.0)
-    found = Sliding(columns[0].astype(np.int64), *columns[1:6])
-    return replace(found, others=float(others), scatter=columns[6])
-
-
-@dataclass(frozen=True)
-class Friction:
-    """Level (N m) and viscous coefficient (N m s/rad) of each direction with 95 % half widths, and
-    the means of both directions; and the gravity torque that the model lacks along the way, N m.
-    """
-
-    value: dict[str, tuple[float, float, float, float]]
-    mean: tuple[float, float, float, float]
-    uneven: bool  # whether a direction differs from the other by more than its interval
-    lacking: Array
-    free: Array  # the torque without it, and without what accelerates
-    weight: float  # N m, the most that the joint carries beyond what is compensated
-    squares: float  # sum of the squared weighted residuals
-    excess: float = 0.0  # N m more at rest, where friction falls with speed (Stribeck)
-    slow: float = 0.0  # rad/s, at which a third of it is left
-    weight_half: float = 0.0  # N m, half width of the weight
-    apart_half: float = 0.0  # N m, half width of half of what the directions' levels differ by
-    # with half widths: weight as sine and cosine of the position, or the same everywhere, N m;
-    # inertia, kg m^2
-    constant: tuple[float, float] = (0.0, 0.0)
-    sine: tuple[float, float] = (0.0, 0.0)
-    cosine: tuple[float, float] = (0.0, 0.0)
-    inertia: tuple[float, float] = (0.0, 0.0)
-
-
-def fit_friction(
-    sliding: Sliding,
-    weighs: bool,
-    unknown: bool = False,
-    slow: float = 0.0,
-    about: bool = False,
-    both: bool = False,
-) -> Friction:
-    """Friction of each direction together with the gravity torque that the compensation lacks.
-
-    Whatever a joint carries, its weight is a cos q + b sin q of the joint's own position; friction
-    is not of that form. A joint that moves no weight (a vertical axis) has neither term.
-    ``unknown``: nothing is known of the machine. The inertia is fitted too. Friction may vary with
-    place, so the intervals are widened by what pieces of one part, or of one place, have in common.
-    ``slow``: friction falls with speed below this one, rad/s; ``about``: this speed is itself
-    uncertain. ``both``: friction is the same in both directions.
-    """
-    up = sliding.speed > 0
-    columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
-    if weighs:
-        columns += [np.cos(sliding.q), np.sin(sliding.q)]
-    if unknown:
-        columns.append(sliding.acceleration)
-    turns = len(columns) - 1
-    columns += sliding.further
-    others = len(columns)
-    if slow:
-        ratio = (sliding.speed / slow) ** 2
-        falls = np.sign(sliding.speed) * np.exp(-ratio)
-        columns += [falls, falls * ratio] if about else [falls]
-    A = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
-    weight = sliding.weights()
-    weighted, torque = weight[:, None] * A, weight * sliding.torque
-    shared = np.eye(A.shape[1])
-    if both:
-        shared[2, 0] = shared[3, 1] = 1.0
-        shared = np.delete(shared, [2, 3], axis=1)
-    y, _, within = least_squares(weighted @ shared, torque)
-    x, inverse = shared @ y, shared @ within @ shared.T
-    ways = np.zeros((4, len(x)))  # means of both directions, and half of what they differ by
-    ways[0, [0, 2]] = ways[1, [1, 3]] = 0.5
-    ways[2, [0, 2]] = ways[3, [1, 3]] = 0.5, -0.5
-    apart = ways @ x
-    alike = []
-    if unknown:
-        parts, places = len(np.unique(sliding.part)), sliding.places()
-        alike = [(sliding.part, parts - len(x)), (places, len(np.unique(places)) - 1)]
-    carried = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
-    most = np.zeros((1, len(x)))  # the weight where it is largest
-    if weighs:
-        most[0, 4:6] = A[int(np.argmax(np.abs(carried))), 4:6]
-    every = np.vstack([np.eye(len(x)), ways, most])
-    half, width = np.split(
-        widest(weighted, torque - weighted @ x, inverse, every, alike), [len(x)]
-    )
-    if sliding.step:  # what a command is rounded by is the same in all of a part
-        error = weighted * (weight * sliding.rounded())[:, None]
-        sums = [error[sliding.part == k].sum(axis=0) for k in np.unique(sliding.part)]
-        more = NORMAL * np.linalg.norm(every @ inverse @ np.transpose(sums), axis=1)
-        half, width = np.hypot(half, more[: len(x)]), np.hypot(width, more[len(x) :])
-    if unknown:  # the others give way in the direction of the move, and change that weight
-        blur = NORMAL * sliding.others * float(np.hypot(*x[4:6])) if weighs else 0.0
-        half[[0, 2]], width[0] = np.hypot(half[[0, 2]], blur), np.hypot(width[0], blur)
-    squares = float(np.sum((weight * (sliding.torque - A @ x)) ** 2))
-    value = {
-        word: (float(x[k]), float(x[k + 1]), float(half[k]), float(half[k + 1]))
-        for word, k in (("+", 0), ("-", 2))
-    }
-    largest = float(np.abs(carried).max())
-    mean = (float(apart[0]), float(apart[1]), float(width[0]), float(width[1]))
-    uneven = bool(np.any(np.abs(apart[2:]) > width[2:4]))
-    excess = float(x[others]) if slow else 0.0
-    free = sliding.torque - A[:, 4:others] @ x[4:others]
-    found = Friction(
-        value, mean, uneven, carried, free, largest, squares, excess, slow, float(width[4]),
-        float(width[2]),
-    )
-    each = [(float(v), float(h)) for v, h in zip(x, half, strict=True)]
-    if weighs:
-        found = replace(found, cosine=each[4], sine=each[5])
-    return replace(found, inertia=each[turns]) if unknown else found
-
-
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     """Add a joint's friction to the result; return the points of its curve."""
     row: dict[str, int | float | str] = {"joint": joint}
@@ -366,26 +139,6 @@ def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     result.tables.setdefault("friction", []).append(row)
     result.effects += friction_effects(joint, fitted)
     return points
-
-
-def friction_effects(joint: int, fitted: Friction) -> list[FoundEffect]:
-    """A joint's friction as effects of a model."""
-    coulomb, viscous = {}, {}
-    for word, end in (("+", "pos"), ("-", "neg")):
-        level, slope, half_level, half_slope = fitted.value[word]
-        coulomb[f"level_{end}"] = Estimate(level, half_level / NORMAL)
-        viscous[f"coefficient_{end}"] = Estimate(max(0.0, slope), half_slope / NORMAL)
-    return [
-        FoundEffect("coulomb_asymmetry", joint, coulomb),
-        FoundEffect("viscous_asymmetry", joint, viscous),
-    ]
-
-
-def cannot_separate(viscous: float, half_width: float) -> bool:
-    """Whether a viscous coefficient is negative, or its 95 % interval reaches zero: these speeds
-    then do not separate it from Coulomb friction.
-    """
-    return bool(viscous - half_width <= 0.0)
 
 
 def _warning(

@@ -1,8 +1,8 @@
-/* volts.c: a constant voltage on one motor, there and back; the others are held where they were, and
- * so is this one while `level` is 0.
+/* volts.c: a constant voltage on one motor, there and back; the others are held where they were,
+ * and so is this one while `level` is 0.
  *
- * `level` is added to `weight`, and changes its sign where the joint passes `upper` or `lower`, and every `flip` seconds.
- * Beyond them by more than `aside` it is the largest there is, inwards.
+ * `level` is added to `weight`. It changes its sign where the joint passes `upper` or `lower`, and
+ * every `flip` seconds. Beyond them by more than `aside` it is the largest there is, inwards.
  */
 #include "isr.h"
 
