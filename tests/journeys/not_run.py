@@ -61,9 +61,9 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ): "tests/diagnosis/test_fleet.py types it",
     ("docs/tutorial.md", "zendsp tui arm"): TERMINAL,
     ("docs/diagnosis_rules.md", "python benchmarks/confidence.py CASES"): CLONE,
+    ("docs/experiments.md", "zendsp experiment tracking -t arm --model arm.toml"): EXPERIMENT,
     (
-        "docs/experiments.md",
-        "zendsp experiment tracking -t wam --connect tls/robot.lab:7447",
+        "docs/experiments.md", "zendsp experiment all -t arm --connect tls/robot.lab:7447",
     ): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment breakaway"): (
         "tests/experiment makes it; test_full_disk.py types it"
