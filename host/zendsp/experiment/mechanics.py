@@ -63,6 +63,7 @@ class Accelerated(Sliding):
     """Pieces of moves that accelerate; all are equally long parts of a move and weigh alike."""
 
     def weights(self) -> Array:
+        """One, for each piece."""
         return np.ones_like(self.torque)
 
 

@@ -306,7 +306,8 @@ def _swing(r: Result) -> str:
             [
                 words,
                 *(
-                    f"{v[f'{name}_{key}'].value:.3f} {v[f'{name}_{key}'].unit}"
+                    # no -0.000
+                    f"{round(v[f'{name}_{key}'].value, 3) + 0.0:.3f} {v[f'{name}_{key}'].unit}"
                     for key in ("final_error", "path_rms", "torque_activity")
                 ),
             ]
