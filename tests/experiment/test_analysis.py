@@ -170,6 +170,41 @@ def test_friction_that_would_drive_a_heavy_joint_is_its_weight_where_a_ripple_hi
     assert held >= 18
 
 
+def test_the_weight_of_a_joint_that_lies_level_is_told_where_friction_is_even() -> None:
+    """Level and weight differ by what a cosine changes over the way, 4 %: no level of its own is
+    told for each direction. One of both is, and the weight changes as a cosine, not with place.
+    """
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        joint = unknown_joint(rng, 0.0, 0.0)
+        torque = joint.torque - 0.17 * np.sin(joint.q) - 1.5 * np.cos(joint.q)
+        found = fit_line(replace(joint, torque=torque), True)
+        assert abs(found.mean[0] - 0.1) <= 2 * found.mean[2] < 0.01
+        assert abs(found.cosine[0] + 1.5) <= 2 * found.cosine[1] < 0.01
+        assert found.constant == (0.0, 0.0) and not found.uneven
+
+
+def test_what_a_command_is_rounded_by_is_in_the_intervals() -> None:
+    """Each part has one torque, which the analog output rounds to its next step."""
+    rng, step, held = np.random.default_rng(9), 0.02, np.zeros((2, 4))
+    part, q = np.repeat(np.arange(14), 10), np.tile(np.linspace(-0.4, 0.4, 10), 14)
+    speed = np.repeat(np.geomspace(0.08, 1.0, 7), 20) * np.tile(np.repeat([1.0, -1.0], 10), 7)
+    for _ in range(100):
+        level, viscous = rng.uniform(0.05, 0.15), rng.uniform(0.5, 1.5)
+        acts = np.sign(speed) * level + viscous * speed
+        asked = acts + np.repeat(rng.uniform(-step / 2, step / 2, 14), 10)
+        asked = asked + 1e-4 * rng.standard_normal(len(q))
+        plain = Sliding(part, q, speed, asked, 0 * q, 0 * q, scatter=0.0 * q)
+        for row, sliding in enumerate((plain, replace(plain, step=step))):
+            found = fit_friction(sliding, weighs=False)
+            got = np.array([*found.value["+"], *found.value["-"]]).reshape(2, 4)
+            inside = np.abs(got[:, :2] - (level, viscous)) <= got[:, 2:]
+            held[row] += inside.ravel()
+    assert held[0].max() < 60 and held[1].min() >= 90, "of 100, 95 are expected"
+    wide = replace(plain, step=step, scatter=np.full_like(q, step))
+    assert wide.rounded().max() < 1e-6 * step, "a command that scatters over steps is not rounded"
+
+
 def test_each_part_of_a_move_has_the_speed_at_which_its_command_acts() -> None:
     """A joint still settles in its fast parts, and a command acts a sample and a half later."""
     period, rows = 0.001, 4000
