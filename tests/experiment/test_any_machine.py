@@ -26,7 +26,7 @@ from zendsp.experiment import (
     run_experiment,
 )
 from zendsp.experiment.estimates import bump_means
-from zendsp.experiment.lab import needed
+from zendsp.experiment.lab import needed, told
 from zendsp.experiment.motor import sensor_step
 from zendsp.experiment.names import FORMER, result_file
 from zendsp.experiment.needs import Needs
@@ -58,8 +58,8 @@ ARM = MachineInfo(name="arm", joints=(SHAFT, SHAFT))
 
 
 @contextmanager
-def started(folder: Path, xml: str) -> Iterator[Target]:
-    file = folder / f"{'lift' if xml == LIFT else 'bar'}.xml"
+def started(folder: Path, xml: str, name: str) -> Iterator[Target]:
+    file = folder / f"{name}.xml"
     file.write_text(xml)
     with zendsp.local(str(file), clock="fast", options=["--speed", "100"]) as target:
         yield target
@@ -113,7 +113,7 @@ def test_a_machine_of_one_slide_gets_all_that_fit_and_is_told_what_it_lacks(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "lift.toml").write_text(MODEL)
-    with started(tmp_path, LIFT) as target:
+    with started(tmp_path, LIFT, "lift") as target:
         lab = Lab(tmp_path, target, model=tmp_path / "lift.toml")
         found = run_experiment("mechanical", lab)
         truth = {"mass1": 3.0, "coulomb1": 6.0, "viscous1": 20.0, "weight1": 29.43}
@@ -137,10 +137,23 @@ def test_a_machine_of_one_slide_gets_all_that_fit_and_is_told_what_it_lacks(
             run_experiment("tracking", Lab(tmp_path, target))
 
 
+def test_a_mujoco_model_that_is_called_as_a_shipped_machine_is_not_taken_for_it(
+    tmp_path: Path,
+) -> None:
+    """Its torques would be the pendulum's, whatever the model is."""
+    with started(tmp_path, BAR, "pendulum") as target:
+        assert target.info.machine == "pendulum"
+        assert Lab(tmp_path, target).shipped("mechanical") == ""
+        assert EXPERIMENTS["electrical"].lacking(told(target)).endswith("it is a torque")
+        tracking = EXPERIMENTS["tracking"]
+        assert "model" in replace(tracking, shipped="pendulum").lacking(told(target))
+    assert Lab(tmp_path).shipped("mechanical") == "pendulum"
+
+
 def test_a_bar_that_may_not_go_round_is_measured_and_swung_within_its_range(
     tmp_path: Path,
 ) -> None:
-    with started(tmp_path, BAR) as target:
+    with started(tmp_path, BAR, "bar") as target:
         lab = Lab(tmp_path, target)
         found = run_experiment("mechanical", lab)
         # of the file, by mujoco: 0.8 kg on 0.15 m; the capsule's caps belong to the inertia

@@ -16,6 +16,6 @@ def friction(lab: Lab) -> Result:
     a program that knows its weight. What it finds of the weight is what the data sheet lacks, so
     no test decides whether a joint carries any.
     """
-    if lab.machine_of("friction") == wam_friction.MACHINE:
+    if lab.shipped("friction") == wam_friction.MACHINE:
         return wam_friction.friction(lab)
     return any_friction.friction(lab)

@@ -81,6 +81,14 @@ class Lab:
 
         return EXPERIMENTS[name].shipped
 
+    def shipped(self, name: str) -> str:
+        """Name of the shipped machine on which an experiment is made here; "" where it is another,
+        which may be a MuJoCo model of that name.
+        """
+        if self.target is not None and told(self.target).model:
+            return ""
+        return self.machine_of(name)
+
     @contextmanager
     def bench(self, name: str, **options: Any) -> Iterator[Bench]:
         """A machine to experiment with. At the end of the block it stands still, and the program

@@ -80,7 +80,7 @@ def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
         Which; default: all that have a drive.
     """
     name = lab.machine_of("mechanical")
-    if name == spun_shaft.MACHINE:
+    if lab.shipped("mechanical") == spun_shaft.MACHINE:
         return spun_shaft.mechanical(lab)
     result = Result("mechanical", "Inertia, weight and friction of every joint", name)
     curves: dict[int, tuple[Sliding, Friction]] = {}

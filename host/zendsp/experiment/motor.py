@@ -46,7 +46,7 @@ def electrical(lab: Lab) -> Result:
     in the middle of its range, at voltages that grow until it is as fast as it may be.
     """
     name = lab.machine_of("electrical")
-    if name == MACHINE:
+    if lab.shipped("electrical") == MACHINE:
         return of_the_pendulum(lab)
     result = Result("electrical", "Motors of the machine", name)
     runs: dict[int, Runs] = {}

@@ -70,7 +70,7 @@ class Needs:
         if other is not None:
             both = (
                 f"; start its target with --machine-option drive={self.command}"
-                if machine.name == HAS_BOTH else ""
+                if machine.name == HAS_BOTH and not machine.model else ""
             )
             return (
                 f"needs a machine whose command is a {self.command}, at {other.name} it is a"

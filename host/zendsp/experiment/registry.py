@@ -44,7 +44,8 @@ class Experiment:
 
     def lacking(self, machine: MachineInfo, has_model: bool = False) -> str:
         """What this machine lacks for it, in a sentence; "" where it can be made."""
-        return self.needs.lacking(machine, has_model or machine.name == self.shipped)
+        own = machine.name == self.shipped and not machine.model
+        return self.needs.lacking(machine, has_model or own)
 
     def run(self, lab: Lab) -> Result:
         """Run it and return its result. Recordings, figure and ``result.toml`` go to the lab's

@@ -65,7 +65,7 @@ def swing(lab: Lab) -> Result:
     its range, or nothing hangs, as far as it may; three ways.
     """
     name = lab.machine_of("swing")
-    if name == spun_shaft.MACHINE:
+    if lab.shipped("swing") == spun_shaft.MACHINE:
         return pendulum_swing.swing(lab)
     measured = needed(lab, "mechanical", mechanical)
     result = Result("swing", f"Optimal swing of {name}, three ways", name)

@@ -66,10 +66,10 @@ def tracking(lab: Lab, joints: tuple[int, ...] = (), duration: float = DURATION)
         Of one way, s; longer where a joint would be too fast.
     """
     name = lab.machine_of("tracking")
-    own = name == wam_friction.MACHINE and lab.model is None
+    wam = lab.shipped("tracking") == wam_friction.MACHINE
+    own = wam and lab.model is None
     measured = needed(lab, "friction", wam_friction.friction) if own else None
     model = load_model(lab.model) if lab.model is not None else None
-    wam = name == wam_friction.MACHINE
     whose = "the WAM" if wam else name
     result = Result("tracking", f"Joint error of {whose}, machine and simulation", name)
     errors: dict[str, tuple[Array, Array]] = {}
