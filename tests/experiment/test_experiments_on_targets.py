@@ -13,8 +13,9 @@ from zendsp.experiment.imi_breakaway import static
 from zendsp.experiment.imi_circle import circle, compensation_values
 from zendsp.experiment.imi_fit import fit
 from zendsp.experiment.imi_friction import low_speed, viscous
-from zendsp.experiment.mechanics import electrical, mechanical
+from zendsp.experiment.motor import of_the_pendulum
 from zendsp.experiment.result import FoundEffect
+from zendsp.experiment.spun_shaft import mechanical
 from zendsp.experiment.tracking import tracking
 from zendsp.experiment.wam_friction import friction
 from zendsp.physics import load_model
@@ -75,7 +76,7 @@ def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None
 
 def test_the_motors_figures_are_found_by_the_straight_line(folder: Path) -> None:
     lab = Lab(folder)
-    found = keep(lab, electrical(lab, volts=(8.0, 12.0, 16.0, -9.0, -14.0)))
+    found = keep(lab, of_the_pendulum(lab, volts=(8.0, 12.0, 16.0, -9.0, -14.0)))
     assert found.values["k_a"].value == pytest.approx(0.1762, rel=0.01)
     assert found.values["R_a"].value == pytest.approx(5.54, rel=0.01)
 
