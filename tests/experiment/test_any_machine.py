@@ -179,6 +179,30 @@ def test_each_motor_behind_a_voltage_is_measured_within_its_range(tmp_path: Path
         assert q[0] < 3.0 and q[1] < 0.2, f"{file.name}: the slide is held, or turned back in time"
 
 
+def test_a_motor_whose_shaft_turns_freely_is_let_turn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pendulum, measured as a machine that nobody knows."""
+    monkeypatch.setattr(Lab, "shipped", lambda self, name: "")
+    options = ["--machine-option", "drive=voltage", "--speed", "100"]
+    with zendsp.local("pendulum", clock="fast", options=options) as target:
+        found = run_experiment("electrical", Lab(tmp_path, target)).values
+    near(found, {"k_a1": 0.1762, "R_a1": 5.54}, 0.01)
+    keeps_within(tmp_path / "electrical", 1000.0, 0.8 * 100.0)
+
+
+def test_a_light_joint_with_much_friction_gets_a_loop_that_moves_it(tmp_path: Path) -> None:
+    """As the WAM's wrist: its inertia asks for 0.4 N m/rad, its friction for 0.46 N m."""
+    wrist = BAR.replace("0.8", "0.01").replace('armature="0.002"', 'armature="0.001"')
+    wrist = wrist.replace('"0.15"', '"0.46"').replace('"0.03"', '"0.5"')
+    with started(tmp_path, wrist, "wrist") as target:
+        found = run_experiment("mechanical", Lab(tmp_path, target)).values
+    near(found, {"coulomb1": 0.46, "viscous1": 0.5}, 0.03)
+    keeps_within(tmp_path / "mechanical", 2.0, 0.8 * 2 * np.pi)
+    loop = Recording.load(tmp_path / "mechanical" / "joint1.npz").parameters["J"]
+    assert np.ravel(loop)[0] > 2 * 0.0013, "kg m^2: twice what the bar turns, at least"
+
+
 def test_a_shape_of_samples_averages_a_polynomial_and_its_derivatives() -> None:
     """Exactly those of its middle where they are linear, whatever the offset."""
     t = 0.001 * np.arange(-20, 21)
