@@ -27,6 +27,7 @@ from zendsp.experiment import (
 )
 from zendsp.experiment.estimates import bump_means
 from zendsp.experiment.lab import needed, told
+from zendsp.experiment.mechanics import _durations, _way
 from zendsp.experiment.motor import sensor_step
 from zendsp.experiment.names import FORMER, result_file
 from zendsp.experiment.needs import Needs
@@ -201,6 +202,26 @@ def test_a_light_joint_with_much_friction_gets_a_loop_that_moves_it(tmp_path: Pa
     keeps_within(tmp_path / "mechanical", 2.0, 0.8 * 2 * np.pi)
     loop = Recording.load(tmp_path / "mechanical" / "joint1.npz").parameters["J"]
     assert np.ravel(loop)[0] > 2 * 0.0013, "kg m^2: twice what the bar turns, at least"
+
+
+def test_moves_are_as_fast_as_speed_and_torque_allow_and_a_table_holds_them() -> None:
+    lift = JointInfo(name="lift", unit="m", position_min=-1, position_max=1, speed_max=2.0,
+                     torque_max=150.0)  # fmt: skip
+    for own, inertia in (
+        (lift, 3.0),
+        (replaced(lift, speed_max=0.2), 3.0),
+        (replaced(lift, torque_max=2.0), 3.0),
+        (replaced(lift, torque_max=2.0), 300.0),
+    ):
+        durations, way = _durations(own, _way(own, 0.0)[0], inertia)
+        assert durations == sorted(durations, reverse=True), "slow to fast"
+        assert 1.875 * way / durations[-1] <= 0.4 * own.speed_max * 1.001
+        assert 5.78 * way * inertia / durations[-1] ** 2 <= 0.3 * own.torque_max * 1.01
+        assert 2 * (sum(durations) + 0.3 * len(durations)) <= 55.0, "of 60 s"
+
+
+def replaced(joint: JointInfo, **fields: float) -> JointInfo:
+    return JointInfo(**{name: getattr(joint, name) for name in joint.__struct_fields__} | fields)
 
 
 def test_a_shape_of_samples_averages_a_polynomial_and_its_derivatives() -> None:

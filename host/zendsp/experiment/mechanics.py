@@ -118,27 +118,39 @@ def _measure(bench: Bench, joint: int, place: Array) -> Sliding:
     gentle, calm = f"joint{joint}_gentle", [CALM] * GENTLE
     rec, moves = moved(gentle, calm, travel / 4.0)
     inertias = np.atleast_1d(np.asarray(rec.parameters["J"], dtype=np.float64)).copy()
-    for _ in range(TRIES):  # a light joint with much friction hardly gives way to its loop
-        if _followed(rec, joint) > FOLLOWS * travel / 4.0:
-            break
+    tries = 0
+    while (way := _followed(rec, joint)) < FOLLOWS * travel / 4.0:
+        if tries == TRIES:
+            raise Refused(
+                f"{own.name}: does not follow its loop, of {travel / 4.0:.3g} {own.unit} it moves"
+                f" {way:.3g}: let the machine declare a larger inertia of the joint"
+            )
+        tries += 1  # a light joint with much friction hardly gives way to its loop
         inertias[joint - 1] *= STIFFER
         rec, moves = moved(gentle, calm, travel / 4.0, J=inertias)
-    else:
-        raise Refused(
-            f"{own.name}: does not follow its loop, of {travel / 4.0:.3g} {own.unit} it moves"
-            f" {_followed(rec, joint):.3g}: let the machine declare a larger inertia of the joint"
-        )
     found = _inertia(weak_pieces(rec, moves, joint)) or 0.0
     inertias[joint - 1] = max(inertias[joint - 1], found)
+    durations, way = _durations(own, travel, found or inertias[joint - 1])
+    return weak_pieces(*moved(f"joint{joint}", durations, way, J=inertias), joint)
+
+
+def _durations(own: JointInfo, travel: float, inertia: float) -> tuple[list[float], float]:
+    """How long the moves take, slow to fast, and how far they go: less far than they might where
+    the joint would take too long for that, or for its torque.
+    """
+    most = LONGEST / (2.0 * MOVES) - REST
     quick = max(
         FASTEST,
         PEAK * travel / (SPEED * own.speed_max),
-        (TURN * travel * (found or inertias[joint - 1]) / (TORQUE * own.torque_max)) ** 0.5,
+        (TURN * travel * inertia / (TORQUE * own.torque_max)) ** 0.5,
     )
-    durations = np.geomspace(1.0, SPREAD, MOVES) * quick
-    durations *= min(1.0, LONGEST / (2.0 * (durations.sum() + MOVES * REST)))
-    durations = np.maximum(durations, quick)
-    return weak_pieces(*moved(f"joint{joint}", list(durations[::-1]), travel, J=inertias), joint)
+    if quick > most:
+        travel, quick = travel * (most / quick) ** 2, most
+    for spread in np.geomspace(SPREAD, 1.0, 20):  # closer together where all are slow
+        durations = np.geomspace(spread, 1.0, MOVES) * quick
+        if 2.0 * (durations.sum() + MOVES * REST) <= LONGEST:
+            break
+    return [float(d) for d in durations], travel
 
 
 def _followed(rec: Recording, joint: int) -> float:
@@ -150,7 +162,7 @@ def _followed(rec: Recording, joint: int) -> float:
 def _way(joint: JointInfo, place: float) -> tuple[float, float]:
     """How far a joint moves, and from where: about its place, off the ends of its range."""
     low, high = joint.position_min, joint.position_max
-    travel = min(TRAVEL, SHARE * (high - low))
+    travel = min(TRAVEL, SHARE * (high - low), SPEED * joint.speed_max * CALM / PEAK)
     if not travel > 0.0:
         raise Refused(
             f"{joint.name}: its range is {low:g} to {high:g} {joint.unit}: no way to move"
@@ -199,6 +211,8 @@ def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:
         for begin in np.unique(np.linspace(first + a, first + b - n, PIECES).astype(int)):
             if b - a > n and begin + n + 2 <= len(q):
                 pieces.append((part, *_piece(q, tau, int(begin), n, dt)))
+    if not pieces:
+        raise Refused(f"joint {joint}: moves too little, or too briefly, to be measured")
     columns = np.array(pieces).T
     away = float(others.std(axis=0).max(initial=0.0))
     part, at, pace, torque, turn, rate = columns
