@@ -153,8 +153,8 @@ def section(name: str, kept: Mapping[str, list[Any]]) -> str:
     for one in (one for one in EXPERIMENTS if whole(one) == name and len(kept.get(one, [])) > 1):
         rows = kept[one]
         times.append(len(rows))
-        for key in rows[0]:
-            value, std = np.array([row[key] for row in rows]).T
+        for key in {key: None for row in rows for key in row}:  # not each is stated each time
+            value, std = np.array([row[key] for row in rows if key in row]).T
             truth = EXPERIMENTS[one].truth[key]
             inside = np.abs(value - truth) <= 1.96 * std
             held, count = held + int(inside.sum()), count + len(inside)

@@ -121,8 +121,9 @@ def test_friction_of_any_machine_that_takes_torques_is_found(
         mean = found.values[f"coulomb{joint}"]
         # a weight hides in what the directions differ by, not in their mean
         assert abs(mean.value - 0.8) < 3 * mean.std < 0.3
-        for end in ("pos", "neg"):
-            slope = found.values[f"viscous{joint}_{end}"]
+        for end in ("_pos", "_neg", ""):
+            if (slope := found.values.get(f"viscous{joint}{end}")) is None:
+                continue  # lies level: weight hides what its directions differ by
             # 4: in 35 runs the shoulder had 0.494 ± 0.013, and stated 0.013 to 0.03
             assert abs(slope.value - 0.5) < 4 * slope.std < 0.4
     assert found.values["weight1"].value == 0.0, "its axis is vertical"
@@ -146,10 +147,11 @@ def test_the_weight_of_a_slide_is_not_taken_for_friction(tmp_path: Path) -> None
         str(tmp_path / "lift.xml"), clock="fast", options=["--speed", "100"]
     ) as target:
         found = run_experiment("friction", Lab(tmp_path, target)).values
+    assert "coulomb1_pos" not in found, "a level of its own would be weight"
     # 3 kg; a lift of 0.8 m at 0.13 to 0.8 m/s leaves the bristles' creep and noise: 2 %
     assert found["weight1"].value == pytest.approx(29.43, rel=0.02)
     assert 0.0 < found["weight1"].std < 1.0
-    for name, true in (("coulomb1", 6.0), ("viscous1", 20.0), ("coulomb1_pos", 6.0)):
+    for name, true in (("coulomb1", 6.0), ("viscous1", 20.0)):
         assert abs(found[name].value - true) < 3 * found[name].std < 0.3 * true, name
 
 

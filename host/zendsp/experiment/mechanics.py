@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from zendsp.diagnosis.data.series import stretches
 from zendsp.errors import Refused
 from zendsp.experiment import spun_shaft
-from zendsp.experiment.any_friction import fit_line
+from zendsp.experiment.any_friction import FOLLOWS, STIFFER, TRIES, fit_line
 from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, smoothed
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
@@ -39,8 +39,6 @@ SPREAD = 6.0  # slowest over fastest move
 MOVES = 6  # durations, each there and back
 GENTLE = 3  # cycles of the first motion, over a quarter of the way …
 CALM = 2.0  # s, each move of it
-FOLLOWS = 0.8  # of that way, at least; else the loop is made stiffer …
-STIFFER, TRIES = 3.0, 4  # … by so much, so often
 KNOWN = 0.2  # of an inertia, its standard deviation at most where the loop is set by it
 REST = 0.3  # s, after each move
 LONGEST = 50.0  # s, all moves together: a table holds 60 s

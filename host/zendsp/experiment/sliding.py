@@ -167,6 +167,7 @@ class Friction:
     sine: tuple[float, float] = (0.0, 0.0)
     cosine: tuple[float, float] = (0.0, 0.0)
     inertia: tuple[float, float] = (0.0, 0.0)
+    alike: bool = False  # both directions are taken as alike: nothing tells them from weight
 
 
 def fit_friction(
@@ -231,6 +232,7 @@ def fit_friction(
         value, mean, uneven, carried, free, largest, squares, excess, slow, float(width[4]),
         float(width[2]),
     )
+    found = replace(found, alike=both)
     each = [(float(v), float(h)) for v, h in zip(x, half, strict=True)]
     if weighs:
         found = replace(found, cosine=each[4], sine=each[5])
