@@ -5,9 +5,10 @@ draws, and writes a result.
 from zendsp.experiment.frequency import frequency_response
 from zendsp.experiment.lab import Lab
 from zendsp.experiment.model_update import fit_model, put_into
-from zendsp.experiment.registry import EXPERIMENTS, Experiment, run_experiment
+from zendsp.experiment.registry import EXPERIMENTS, Experiment
 from zendsp.experiment.response import FrequencyResponse
 from zendsp.experiment.result import Estimate, FoundEffect, Result
+from zendsp.experiment.running import run_experiment
 from zendsp.experiment.sweep import sweep
 from zendsp.experiment.sweep_result import Sweep, SweepRun
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from zendsp.errors import RecordingError, Refused, ZendspError
 from zendsp.experiment.names import result_file
+from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
 from zendsp.here.stopped import ended
 from zendsp.link import Target
@@ -77,8 +78,6 @@ class Lab:
         """
         if self.target is not None:
             return self.target.info.machine
-        from zendsp.experiment.registry import EXPERIMENTS
-
         return EXPERIMENTS[name].shipped
 
     def shipped(self, name: str) -> str:
@@ -108,8 +107,6 @@ class Lab:
             The target that was given lacks what the experiment needs, or its drives are not enabled
             where the explicit sequence is in use.
         """
-        from zendsp.experiment.registry import EXPERIMENTS
-
         folder, experiment = self.folder / name, EXPERIMENTS[name]
         if self.target is not None:
             drives = self.target.drive_status()

@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
-from zendsp.errors import Refused
-from zendsp.experiment.lab import Lab
-from zendsp.experiment.names import present_name
 from zendsp.experiment.needs import Needs
-from zendsp.experiment.result import Result
 from zendsp_protocol.messages import MachineInfo
 
 
@@ -46,20 +39,6 @@ class Experiment:
         """What this machine lacks for it, in a sentence; "" where it can be made."""
         own = machine.name == self.shipped and not machine.model
         return self.needs.lacking(machine, has_model or own)
-
-    def run(self, lab: Lab) -> Result:
-        """Run it and return its result. Recordings, figure and ``result.toml`` go to the lab's
-        folder.
-        """
-        module, name = self.function.split(":")
-        make: Callable[[Lab], Result] = getattr(
-            importlib.import_module(f"zendsp.experiment.{module}"), name
-        )
-        began = time.monotonic()
-        result = make(lab)
-        lab.say(f"{self.name}: done in {time.monotonic() - began:.1f} s")
-        result.save(lab.folder / self.name / "result.toml")
-        return result
 
 
 _PLANAR = Needs(only="imi_planar")
@@ -119,29 +98,3 @@ EXPERIMENTS = {
         ),
     )
 }
-
-
-def run_experiment(name: str, lab: Lab) -> Result:
-    """Run an experiment by name and return its result.
-
-    Parameters
-    ----------
-    name : str
-        Key of ``EXPERIMENTS``, or a former name of one.
-    lab : Lab
-
-    Returns
-    -------
-    Result
-
-    Raises
-    ------
-    Refused
-        No such experiment, or the machine lacks what it needs.
-    """
-    now = present_name(name)
-    if now not in EXPERIMENTS:
-        raise Refused(f"no experiment {name!r}; there are {', '.join(EXPERIMENTS)}")
-    if now != name:
-        lab.say(f"{name} is called {now} now")
-    return EXPERIMENTS[now].run(lab)
