@@ -110,6 +110,40 @@ def put_into(result: Result, path: str | Path) -> list[str]:
     model = load_model(path)
     if result.machine in MACHINES:
         _require_joints(result.machine, load_machine(result.machine).joints, model, path)
+    taken, joints = with_effects(model, result)
+    added = len(result.effects)
+    removed = len(model.terms) - len(taken.terms) + added
+    changes = (
+        [
+            f"friction of joint {', '.join(map(str, joints))} replaced"
+            f" ({removed} terms by {added})"
+        ]
+        if joints
+        else []
+    )
+    mechanism, may = dict(model.mechanism), PARAMETERS[model.kind] or ()
+    if not result.effects and not any(name in may for name in result.mechanism):
+        raise ModelError(
+            f"{path}: a mechanism of kind {model.kind} has no {' or '.join(result.mechanism)}"
+        )
+    for name, estimate in result.mechanism.items():
+        if name not in may:
+            changes.append(f"{name}: {estimate} stays out: the file of the {model.kind} has it")
+            continue
+        old = mechanism.get(name)
+        mechanism[name] = (Quantity(estimate.value, True, estimate.unit, estimate.std),)
+        changes.append(f"{name}: {estimate}" + (f" (was {old[0].value:.4g})" if old else ""))
+    text = model_text(replace(taken, mechanism=mechanism))
+    if model.file and not Path(model.file).is_absolute():
+        text = text.replace(str((model.folder / model.file).resolve()), model.file)
+    write_whole(Path(path), text)
+    return changes
+
+
+def with_effects(model: Model, result: Result) -> tuple[Model, list[int]]:
+    """A model whose joints that were measured have the friction that was found, and those joints
+    (1-based).
+    """
     found = parse_model(
         {
             "name": "found",
@@ -126,31 +160,7 @@ def put_into(result: Result, path: str | Path) -> list[str]:
         for t in model.terms
         if t.joint not in joints or not (t.effect in anew or _of_speed(get_effect(t.effect)))
     )
-    changes = (
-        [
-            f"friction of joint {', '.join(map(str, joints))} replaced"
-            f" ({len(model.terms) - len(kept)} terms by {len(found.terms)})"
-        ]
-        if joints
-        else []
-    )
-    mechanism, may = dict(model.mechanism), PARAMETERS[model.kind] or ()
-    if not result.effects and not any(name in may for name in result.mechanism):
-        raise ModelError(
-            f"{path}: a mechanism of kind {model.kind} has no {' or '.join(result.mechanism)}"
-        )
-    for name, estimate in result.mechanism.items():
-        if name not in may:
-            changes.append(f"{name}: {estimate} stays out: the file of the {model.kind} has it")
-            continue
-        before = mechanism.get(name)
-        mechanism[name] = (Quantity(estimate.value, True, estimate.unit, estimate.std),)
-        changes.append(f"{name}: {estimate}" + (f" (was {before[0].value:.4g})" if before else ""))
-    text = model_text(replace(model, terms=(*kept, *found.terms), mechanism=mechanism))
-    if model.file and not Path(model.file).is_absolute():
-        text = text.replace(str((model.folder / model.file).resolve()), model.file)
-    write_whole(Path(path), text)
-    return changes
+    return model.with_terms((*kept, *found.terms)), joints
 
 
 def _of_speed(effect: Effect) -> bool:

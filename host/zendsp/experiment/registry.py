@@ -41,8 +41,6 @@ class Experiment:
         return self.needs.lacking(machine, has_model or own)
 
 
-_PLANAR = Needs(only="imi_planar")
-
 EXPERIMENTS = {
     e.name: e
     for e in (
@@ -52,29 +50,29 @@ EXPERIMENTS = {
             "friction:friction", models=True,
         ),
         Experiment(
-            "breakaway", "imi_planar", _PLANAR,
-            "Static friction: torque steps both ways from several positions.",
-            "imi_breakaway:static",
+            "breakaway", "imi_planar", Needs(),
+            "Static friction of each joint: torque steps both ways from several positions.",
+            "breakaway:breakaway",
         ),
         Experiment(
-            "high-speed", "imi_planar", _PLANAR,
-            "Friction at high speed: constant torque, open loop.",
-            "imi_friction:viscous",
+            "high-speed", "imi_planar", Needs(),
+            "Friction of each joint at high speed: constant torque, open loop.",
+            "high_speed:high_speed",
         ),
         Experiment(
-            "low-speed", "imi_planar", _PLANAR,
-            "Friction at low speed: triangular velocity under PD, averaged.",
-            "imi_friction:low_speed",
+            "low-speed", "imi_planar", Needs(),
+            "Friction of each joint at low speed, inertia, weight: triangular velocity, averaged.",
+            "low_speed:low_speed",
         ),
         Experiment(
-            "friction-curve", "imi_planar", _PLANAR,
+            "friction-curve", "imi_planar", Needs(),
             "One friction curve of two polynomials through the three.",
-            "imi_fit:fit", models=True,
+            "friction_curve:friction_curve", models=True,
         ),
         Experiment(
-            "circle", "imi_planar", _PLANAR,
+            "circle", "imi_planar", Needs(least=2, model="with two joints that turn in one plane"),
             "Circle under inverse dynamics, compensated or not, machine and simulation.",
-            "imi_circle:circle",
+            "circle:circle",
         ),
         Experiment(
             "electrical", "pendulum", Needs("voltage", sensed=True),

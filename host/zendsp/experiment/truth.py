@@ -72,3 +72,10 @@ FRICTION: dict[str, dict[str, float]] = {
     }),
     "wam7": _both_ways(TRUTH["friction"]),
 }
+
+# What the experiments of any machine find on the pendulum, its brake at 0.08 N m
+PENDULUM: dict[str, dict[str, float]] = {
+    "low-speed": {"inertia1": 2.07e-3, "weight1_sin": 0.16677},
+    "breakaway": {"breakaway1": 0.1 * (1.27 + 1.19) / 2},
+    "high-speed": {"level1": 0.1, "viscous1": 0.005},
+}

@@ -2,44 +2,59 @@
  * the others be held.
  *
  * The torque begins at `first` and grows by `increment` every `hold` seconds (0: constant torque).
- * The push ends when the joint has left its start by `threshold`, or has passed `upper`
- * (counterclockwise) or `lower` (clockwise); the joint is then braked.
+ * It comes on top of what carries the joint's weight, which is what the host knows of it, and up to
+ * `band` of what held the joint at rest. The push ends when the joint has left its start by
+ * `threshold`, or by `back` the other way, or has passed `upper` (counterclockwise) or `lower`
+ * (clockwise), or is faster than `fastest`. The joint is then braked, and held where it stops.
  */
 #include "isr.h"
 
 enum { MOST = 8 };
+#define BRAKE_TIME 0.2 /* s, at most, before the joint is held: a brake alone lets a weight sink */
+enum { GOING, RESTING, PUSHING, BRAKING, HELD };
 
 static int32_t joint, direction;
 static double place[MOST], Kp[MOST], Kd[MOST], brake[MOST];
-static double first, increment, hold, threshold, lower, upper, travel_time, rest_time, cutoff;
+static double flat[MOST], cosine[MOST], sine[MOST], band;
+static double first, increment, hold, threshold, back, lower, upper, fastest;
+static double travel_time, rest_time, cutoff, reset;
 
 static double q[MOST], qd[MOST], tau[MOST], torque;
-static int32_t phase; /* 0 on the way to the start, 1 resting, 2 pushing, 3 ended */
+static int32_t phase;
 
 static double last[MOST], start[MOST], begun, origin;
-static bool known;
+static double sum[MOST]; /* N m, of the integrals */
+static double carried; /* N m, what held the joint beside its weight, and what of it stays */
+static double ended, speed; /* s and rad/s, when the push ended */
 
 void UserInit(void) {
     PARAMETER(joint, 1, "", 1, MOST, "joint that is pushed, from 1");
     PARAMETER(direction, 1, "", -1, 1, "1 counterclockwise, -1 clockwise");
-    PARAMETER_ARRAY(place, "rad", NO_MIN, NO_MAX, "where the joints start");
-    PARAMETER_ARRAY(Kp, "N m/rad", 0.0, 20000.0, "gain on the way, and of joints that are held");
-    PARAMETER_ARRAY(Kd, "N m s/rad", 0.0, 1000.0, "damping of the same");
-    PARAMETER_ARRAY(brake, "N m s/rad", 0.0, 1000.0, "damping when the push has ended");
-    PARAMETER(first, 0.0, "N m", 0.0, 1000.0, "torque at the beginning of the push");
-    PARAMETER(increment, 0.0, "N m", 0.0, 100.0, "height of a step");
-    PARAMETER(hold, 0.1, "s", 0.001, 10.0, "length of a step");
-    PARAMETER(threshold, 1000.0, "rad", 0.0, 1000.0, "way after which the push ends");
-    PARAMETER(lower, -2.0, "rad", -1000.0, 1000.0, "position at which a push clockwise ends");
-    PARAMETER(upper, 2.0, "rad", -1000.0, 1000.0, "position at which a push counterclockwise ends");
-    PARAMETER(travel_time, 2.0, "s", 0.1, 60.0, "time to the start position");
-    PARAMETER(rest_time, 0.5, "s", 0.0, 60.0, "time at rest without torque");
+    PARAMETER_FIRST(place, JOINTS, "{q}", NO_MIN, NO_MAX, "where the joints start");
+    PARAMETER_FIRST(Kp, JOINTS, "{tau}/{q}", 0.0, 1e6, "gain on the way, and of joints held");
+    PARAMETER_FIRST(Kd, JOINTS, "{tau} s/{q}", 0.0, 1e5, "damping of the same");
+    PARAMETER_FIRST(brake, JOINTS, "{tau} s/{q}", 0.0, 1e5, "damping when the push has ended");
+    PARAMETER_FIRST(flat, JOINTS, "{tau}", NO_MIN, NO_MAX, "weight, the same everywhere");
+    PARAMETER_FIRST(cosine, JOINTS, "{tau}", NO_MIN, NO_MAX, "weight, by the cosine of q");
+    PARAMETER_FIRST(sine, JOINTS, "{tau}", NO_MIN, NO_MAX, "weight, by the sine of q");
+    PARAMETER(band, 0.0, "{tau}", 0.0, 1e6, "of what held the joint at rest, the most that stays");
+    PARAMETER(first, 0.0, "{tau}", -1e6, 1e6, "torque at the beginning of the push");
+    PARAMETER(increment, 0.0, "{tau}", 0.0, 1e5, "height of a step");
+    PARAMETER(hold, 0.1, "s", 0.0001, 10.0, "length of a step");
+    PARAMETER(threshold, 1000.0, "{q}", 0.0, 1e6, "way after which the push ends");
+    PARAMETER(back, 1000.0, "{q}", 0.0, 1e6, "way against the push, or at rest, that ends it");
+    PARAMETER(lower, -2.0, "{q}", -1e6, 1e6, "position at which a push clockwise ends");
+    PARAMETER(upper, 2.0, "{q}", -1e6, 1e6, "position at which a push counterclockwise ends");
+    PARAMETER(fastest, 1e6, "{q}/s", 0.0, 1e6, "speed at which a push ends");
+    PARAMETER(travel_time, 2.0, "s", 0.1, 600.0, "time to the start position");
+    PARAMETER(rest_time, 0.5, "s", 0.0, 60.0, "time at rest before the push");
+    PARAMETER(reset, 0.0, "s", 0.0, 1000.0, "time constant of what holds the others; 0: none");
     PARAMETER(cutoff, 80.0, "Hz", 1.0, 1000.0, "velocity filter");
-    SIGNAL(q, "rad", "positions");
-    SIGNAL(qd, "rad/s", "velocities, filtered");
-    SIGNAL(tau, "N m", "commands");
-    SIGNAL(torque, "N m", "command of the pushed joint");
-    SIGNAL(phase, "", "0 going to the start, 1 resting, 2 pushing, 3 ended");
+    SIGNAL_FIRST(q, JOINTS, "{q}", "positions");
+    SIGNAL_FIRST(qd, JOINTS, "{q}/s", "velocities, filtered");
+    SIGNAL_FIRST(tau, JOINTS, "{tau}", "commands");
+    SIGNAL(torque, "{tau}", "command of the pushed joint");
+    SIGNAL(phase, "", "0 going to the start, 1 resting, 2 pushing, 3 braking, 4 held");
 }
 
 static void measure(void) {
@@ -48,14 +63,19 @@ static void measure(void) {
         q[j] = READ_POSITION(j);
         qd[j] = FIRST_SAMPLE ? 0.0 : qd[j] + a * ((q[j] - last[j]) / SAMPLE_PERIOD - qd[j]);
         last[j] = q[j];
-        if (FIRST_SAMPLE || !DRIVE_ENABLED)
+        if (FIRST_SAMPLE || !DRIVE_ENABLED) {
             start[j] = q[j];
+            sum[j] = 0.0;
+        }
     }
     if (FIRST_SAMPLE || !DRIVE_ENABLED) {
         begun = SAMPLE_TIME;
-        phase = 0;
+        phase = GOING;
+        carried = 0.0;
     }
 }
+
+static double weight(int32_t j) { return flat[j] + cosine[j] * cos(q[j]) + sine[j] * sin(q[j]); }
 
 /* Fifth-order way from where the joint stood to its start position. */
 static double wanted(int32_t j, double t) {
@@ -63,30 +83,65 @@ static double wanted(int32_t j, double t) {
     return start[j] + s * s * s * (10.0 + s * (6.0 * s - 15.0)) * (place[j] - start[j]);
 }
 
-static double push(int32_t k, double t) {
+/* Whether the pushed joint has done what it may. */
+static bool over(int32_t k) {
+    const double gone = q[k] - origin, along = direction < 0 ? -gone : gone;
     const bool beyond = direction < 0 ? q[k] < lower : q[k] > upper;
-    if (phase == 2 && (fabs(q[k] - origin) > threshold || beyond))
-        phase = 3;
-    if (phase == 3)
-        return -brake[k] * qd[k];
+    if (phase == RESTING)
+        return fabs(gone) > back;
+    return phase == PUSHING &&
+           (fabs(gone) > threshold || -along > back || beyond || fabs(qd[k]) > fastest);
+}
+
+static void advance(int32_t k, double rested, double t) {
+    if (phase == GOING && rested >= 0.0) {
+        phase = RESTING;
+        origin = q[k];
+        carried = fmax(-band, fmin(band, carried));
+    }
+    if (phase == RESTING && rested >= rest_time) {
+        phase = PUSHING;
+        origin = q[k];
+    }
+    if (over(k)) {
+        phase = BRAKING;
+        ended = t;
+        speed = fabs(qd[k]);
+    }
+    if (phase == BRAKING && t > ended && (fabs(qd[k]) <= 0.05 * speed || t - ended > BRAKE_TIME)) {
+        phase = HELD;
+        origin = q[k];
+    }
+}
+
+/* Torque of the pushed joint beside its weight, from rest on. */
+static double push(int32_t k, double t) {
+    if (phase == RESTING)
+        return carried;
+    if (phase == BRAKING)
+        return carried - brake[k] * qd[k];
+    if (phase == HELD)
+        return Kp[k] * (origin - q[k]) - Kd[k] * qd[k] + sum[k];
     const double size = first + increment * floor(t / hold + 1e-9);
-    return direction < 0 ? -size : size;
+    return carried + (direction < 0 ? -size : size);
 }
 
 void UserISR_INT2(void) {
     measure();
     const double t = SAMPLE_TIME - begun, rested = t - 1.5 * travel_time;
     const int32_t k = joint - 1;
-    if (phase == 0 && rested >= 0.0)
-        phase = 1;
-    if (phase == 1 && rested >= rest_time) {
-        phase = 2;
-        origin = q[k];
-    }
+    advance(k, rested, t);
     for (int32_t j = 0; j < JOINTS; j++) {
-        tau[j] = Kp[j] * (wanted(j, t) - q[j]) - Kd[j] * qd[j];
-        if (j == k && phase > 0)
-            tau[j] = phase == 1 ? 0.0 : push(j, rested - rest_time);
+        double beside = Kp[j] * (wanted(j, t) - q[j]) - Kd[j] * qd[j] + sum[j];
+        if (j == k && phase == GOING) /* the mean of what holds it, over 0.1 s */
+            carried += fmin(1.0, SAMPLE_PERIOD / 0.1) * (beside - carried);
+        if (j == k && phase != GOING)
+            beside = push(k, rested - rest_time);
+        const double most = TORQUE_MAX(j) > 0.0 ? TORQUE_MAX(j) : 1e12;
+        tau[j] = fmax(-most, fmin(most, weight(j) + beside));
+        if (reset > 0.0 && fabs(tau[j]) < most && (j != k || phase == GOING || phase == HELD))
+            sum[j] += Kp[j] * ((phase == HELD && j == k ? origin : wanted(j, t)) - q[j]) *
+                      SAMPLE_PERIOD / reset;
         WRITE_TORQUE(j, tau[j]);
     }
     torque = tau[k];

@@ -1,0 +1,395 @@
+"""Static friction: the breakaway torque, and the stiffness of the bristles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from zendsp.errors import RecordingError, Refused
+from zendsp.experiment.estimates import mean_of, smoothed
+from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
+from zendsp.experiment.joints import USED, Array, Axis, Known
+from zendsp.experiment.knowing import as_found, shipped, with_values
+from zendsp.experiment.lab import Bench, Lab
+from zendsp.experiment.low_speed import low_speed
+from zendsp.experiment.push import BRAKING, PUSHING, Pusher, columns
+from zendsp.experiment.result import Estimate, Result
+from zendsp.recording import Recording
+
+# s, length of a torque step: so slow that friction reaches what it can hold
+HOLD = 0.01
+# the same for the stiffness of bristles: fast against what the drive's noise lets them creep
+FAST_HOLD = 0.001
+CREEP = 0.006  # of the stiffness: what they still creep, as pushes of other speeds show
+CUTOFF = 25.0  # Hz, of the speed: what holds one joint must not shake the other by its noise
+AWAY = 0.02  # of the low-speed peak: a joint that is faster has broken away
+THRESHOLD = 0.05  # of the low-speed way: that a joint goes before a push ends
+WINDOW, FAST_WINDOW = 0.101, 0.031  # s that a slow push and a fast one are smoothed over
+RESTS = 0.3  # of the friction: what may stay of what held a joint that carries a weight
+LARGEST = 3.0  # standard deviations, of the largest of some hundred smoothed values
+# of the encoder, that bristles must bend by for their stiffness to be told: at 16 counts it is 3 %
+# off, at 12 6 %, at 8 47 % (docs/measurements/experiments.md)
+COUNTS = 12.0
+
+
+def breakaway(lab: Lab, count: int = 6, joints: tuple[int, ...] = ()) -> Result:
+    """Static friction: torque steps both ways from several positions; the result is the mean of the
+    breakaway torques.
+
+    The positions are drawn at random, because friction varies with place: only then does the spread
+    of a few torques tell how far their mean may be from that of all places. A joint that carries a
+    weight that no model states is pushed both ways from the same places: half the difference of the
+    two torques is friction, half the sum weight.
+
+    Parameters
+    ----------
+    lab : Lab
+    count : int
+        Places of a joint and direction.
+    joints : tuple of int
+        Which; default: all that have a drive.
+    """
+    arm = shipped(lab)
+    low = None
+    if arm is None:
+        own = [f"level{j}" for j in joints]
+        low = with_values(lab, "low-speed", lambda lab: low_speed(lab, joints=joints), own)
+    of = " of the planar arm" if arm is not None else ""
+    result = Result("breakaway", f"Static friction{of}", lab.machine_of("breakaway"))
+    found: dict[int, Pushes] = {}
+    with lab.bench(result.name) as bench:
+        known = as_found(bench, lab, low)
+        pusher = Pusher(bench, known)
+        for joint in joints or known.axes:
+            try:
+                found[joint] = _pushes(pusher, lab, joint, count)
+            except RecordingError as error:
+                result.warnings.append(f"Joint {joint} is left out: {error}.")
+        result.recordings, result.target = bench.recordings, bench.where
+        if not found:
+            why = " ".join(result.warnings)
+            raise Refused(f"{result.name}: no joint could be measured. {why}")
+        for pushes in found.values():
+            (_report if pushes.apart else _report_weighing)(result, pushes)
+            _report_stiffness(result, pushes)
+        result.figure = _draw(found, bench)
+    return result
+
+
+class Push(NamedTuple):
+    """The result of two pushes at a place: friction that a slow and a fast staircase found held (N
+    m); stiffness from the fast one (N m/rad), the difference between two ways of reading it, and
+    the counts by which the bristles bent; the noise that the largest value may be of, N m.
+    """
+
+    place: float
+    torque: float
+    fast_torque: float
+    stiffness: float
+    apart: float
+    bent: float
+    noise: float
+
+
+@dataclass
+class Pushes:
+    """All pushes of one joint by direction.
+
+    Attributes
+    ----------
+    axis : Axis
+    apart : bool
+        Whether what the directions differ by is friction's.
+    by : dict of int to list of Push
+    early : Estimate
+        By how much the joint breaks away too early.
+    """
+
+    axis: Axis
+    apart: bool
+    by: dict[int, list[Push]] = field(default_factory=dict)
+    early: Estimate = field(default_factory=lambda: Estimate(0.0))
+
+
+def _pushes(pusher: Pusher, lab: Lab, joint: int, count: int) -> Pushes:
+    known, axis = pusher.known, pusher.known.axes[joint]
+    turning = axis.unit == "rad" and not axis.load.weighs
+    pushes = Pushes(axis, known.apart or turning)
+    places = lab.random.uniform(*axis.places, count)
+    for direction in (1, -1):
+        if direction < 0 and pushes.apart:
+            places = lab.random.uniform(*axis.places, count)
+        pushes.by[direction] = [_break_away(pusher, joint, direction, float(x)) for x in places]
+    differ = [push.torque - push.fast_torque for way in pushes.by.values() for push in way]
+    pushes.early = too_early(axis, differ)
+    return pushes
+
+
+def too_early(axis: Axis, apart: Sequence[float]) -> Estimate:
+    """By how much a joint breaks away too early because the torque still grows meanwhile, N m.
+
+    A joint breaks away where friction can hold no more torque. This is a fold, which under a torque
+    that grows at a rate r is passed at a speed of r^(1/3). Friction falls as the square of a small
+    speed, so the missing torque goes as r^(2/3), and two rates determine it. An exponent of 1/2
+    would give half as much again, and 1 half as much; its standard deviation is therefore a third.
+
+    Parameters
+    ----------
+    axis : Axis
+    apart : sequence of float
+        Breakaway torque of each slow push less that of the fast push at its place, N m.
+    """
+    share = 1.0 / ((axis.fast / axis.slow) ** (2 / 3) - 1.0)
+    lost = mean_of([share * x for x in apart], axis.force)
+    return Estimate(lost.value, float(np.hypot(lost.std, lost.value / 3)), axis.force)
+
+
+def _report(result: Result, pushes: Pushes) -> None:
+    """Add the breakaway torques to the result.
+
+    Friction of both directions varies along the same path, so they share their spread. Its
+    distribution over places is not normal: four places alone look too even once in ten times.
+    """
+    axis, early, both = pushes.axis, pushes.early, []
+    torques = {d: [push.torque for push in pushes.by[d]] for d in (1, -1)}
+    shared = _shared(pushes)
+    for direction in (1, -1):
+        word = axis.word(direction)
+        each = mean_of(torques[direction], axis.force, shared, beside=torques[-direction])
+        each = Estimate(each.value + early.value, each.std, axis.force)
+        result.values[f"breakaway{axis.number}_{word}"] = each
+        both.append(each)
+        result.tables.setdefault("breakaway", []).append(
+            {
+                "joint": axis.number,
+                "direction": word,
+                f"torque {axis.force}": _short(each.value),
+                f"± {axis.force}": _short(each.std),
+                f"each {axis.force}": ", ".join(f"{x:.3g}" for x in torques[direction]),
+            }
+        )
+    result.values[f"breakaway{axis.number}"] = Estimate(
+        float(np.mean([e.value for e in both])),
+        float(np.hypot(both[0].std, both[1].std) / 2),
+        axis.force,
+    )
+
+
+def _shared(pushes: Pushes) -> float:
+    """Standard deviation of what all pushes share: the height of a step, what is lost to the rate
+    of the torque, and what noise adds to a largest value.
+    """
+    noise = float(np.mean([push.noise for way in pushes.by.values() for push in way]))
+    step = pushes.axis.slow * HOLD / np.sqrt(12)
+    return float(np.linalg.norm([step, pushes.early.std, noise]))
+
+
+def _report_weighing(result: Result, pushes: Pushes) -> None:
+    """Add breakaway torque and weight of a joint that was pushed both ways from each place."""
+    axis, early = pushes.axis, pushes.early
+    up, down = ([push.torque for push in pushes.by[d]] for d in (1, -1))
+    places = np.array([push.place for push in pushes.by[1]])
+    level = 0.5 * (np.array(up) + np.array(down))
+    weight = axis.load.weight(places) + 0.5 * (np.array(up) - np.array(down))
+    mean = mean_of(level.tolist(), axis.force, _shared(pushes))
+    mean = Estimate(mean.value + early.value, mean.std, axis.force)
+    result.values[f"breakaway{axis.number}"] = mean
+    if axis.unit == "rad":
+        A = np.stack([np.cos(places), np.sin(places)], axis=1)
+        cos, sin = np.linalg.lstsq(A, weight, rcond=None)[0]
+        result.values[f"weight{axis.number}_cos"] = Estimate(float(cos), 0.0, axis.force)
+        result.values[f"weight{axis.number}_sin"] = Estimate(float(sin), 0.0, axis.force)
+    else:
+        result.values[f"weight{axis.number}"] = mean_of(weight.tolist(), axis.force)
+    unit, force = axis.unit, axis.force
+    result.tables.setdefault("at each place", []).extend(
+        {
+            "joint": axis.number,
+            f"place {unit}": _short(float(x)),
+            f"breakaway {force}": _short(float(f + early.value)),
+            f"weight {force}": _short(float(w)),
+        }
+        for x, f, w in zip(places, level, weight, strict=True)
+    )  # fmt: skip
+    result.warnings.append(
+        f"Joint {axis.number} carries a weight: of the torques at a place half the difference is"
+        " friction, half the sum weight. By how much friction itself differs in both directions"
+        " is in the weight; a model (--model) tells them apart."
+    )
+    if np.abs(weight).max() > mean.value:
+        result.warnings.append(
+            f"Joint {axis.number} falls without its drive where the weight, up to"
+            f" {np.abs(weight).max():.3g} {force}, is more than breaks it away: it was held, and"
+            " the torque stepped up and down from what holds it."
+        )
+
+
+def _report_stiffness(result: Result, pushes: Pushes) -> None:
+    axis = pushes.axis
+    each = [push for way in pushes.by.values() for push in way]
+    stiffness, apart, bent = (
+        np.array([getattr(push, name) for push in each]) for name in ("stiffness", "apart", "bent")
+    )
+    if axis.load.weighs:
+        result.warnings.append(
+            f"Joint {axis.number}: the stiffness of its bristles is not told. It carries a weight,"
+            " and they are bent before the push begins."
+        )
+        return
+    counts = float(np.median(bent))
+    if counts < COUNTS:
+        result.warnings.append(
+            f"Joint {axis.number}: the stiffness of its bristles is not told. They bend by"
+            f" {counts:.2g} counts of the encoder before it breaks away; {COUNTS:.0f} are needed."
+        )
+        return
+    slack = np.hypot(np.mean(apart), CREEP * np.mean(stiffness))
+    result.values[f"stiffness{axis.number}"] = mean_of(
+        stiffness.tolist(), f"{axis.force}/{axis.unit}", float(slack)
+    )
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def _break_away(pusher: Pusher, joint: int, direction: int, position: float) -> Push:
+    known, axis = pusher.known, pusher.known.axes[joint]
+    word = f"joint{joint}_{axis.word(direction)}_{position:+.3f}"
+    slow = _push(pusher, word, joint, direction, position, axis.slow, HOLD)
+    torque, noise = breakaway_torque(slow, known, joint, direction)
+    fast = _push(pusher, f"{word}_fast", joint, direction, position, axis.fast, FAST_HOLD)
+    pushed = pushed_way(fast, known, joint, direction, FAST_WINDOW)
+    bent = float(pushed[0][int(np.argmax(pushed[2] > 0.7 * torque))]) / axis.count
+    wide = narrow = 0.0
+    if bent >= COUNTS and not axis.load.weighs:
+        wide, narrow = (bristle_stiffness(pushed, axis, torque, part) for part in (0.7, 0.3))
+    quick, _ = breakaway_torque(fast, known, joint, direction)
+    return Push(position, torque, quick, wide, 0.5 * (wide - narrow), bent, noise)
+
+
+def _push(
+    pusher: Pusher, name: str, joint: int, direction: int, position: float, rate: float, hold: float
+) -> Recording:
+    """A staircase that goes on until the joint breaks away, within what the drive can do."""
+    axis = pusher.known.axes[joint]
+    band = 0.0
+    if axis.load.weighs:
+        sure = axis.load.weight_std < RESTS * axis.level
+        band = RESTS * axis.level if sure else axis.torque
+    most = USED * axis.torque - axis.load.most
+    enough = axis.enough
+    while True:
+        rec = pusher.push(
+            name, joint, direction, position, enough / rate, cutoff=CUTOFF, band=band,
+            increment=rate * hold, hold=hold, threshold=THRESHOLD * axis.travel,
+            back=THRESHOLD * axis.travel,
+        )  # fmt: skip
+        if (rec["phase"] >= BRAKING).any() or enough >= most:
+            return rec
+        enough, name = min(2.0 * enough, most), f"{name}_more"
+
+
+def pushed_way(
+    rec: Recording, known: Known, joint: int, direction: int, window: float
+) -> tuple[Array, Array, Array]:
+    """Way, speed and friction torque of a pushed joint, smoothed by a local parabola over
+    ``window`` s, as magnitudes.
+
+    Friction is the torque less that which accelerates the joint and that which carries its weight.
+    """
+    rows = np.flatnonzero(rec["phase"] == PUSHING)
+    before = np.arange(max(0, rows[0] - 50), rows[0])
+    used = np.r_[before, rows]
+    dt = rec.sample_time
+    q = columns(rec, "q", len(known.pose))[used]
+    torque = rec["torque"][used]
+    # what acts at a sample is the mean of the commands of the two samples before it
+    torque = 0.5 * (np.r_[torque[:1], torque[:-1]] + np.r_[torque[:1], torque[:1], torque[:-2]])
+    samples = 2 * round(0.5 * window / dt) + 1
+    qd, qdd = (smoothed(q, samples, dt, order) for order in (1, 2))
+    smooth = smoothed(q[:, joint - 1], samples)
+    friction = smoothed(torque, samples) - known.other(joint, q, qd, qdd)
+    way = direction * (smooth - q[: len(before), joint - 1].mean())
+    first = len(before)
+    return way[first:], direction * qd[first:, joint - 1], direction * friction[first:]
+
+
+def breakaway_torque(
+    rec: Recording, known: Known, joint: int, direction: int
+) -> tuple[float, float]:
+    """The largest torque that friction holds, N m: the torque less its accelerating and viscous
+    parts, and less the weight as it is known, at the maximum; and by how much noise may have made
+    it larger.
+
+    A joint creeps before it breaks away, and gains speed while the torque goes on growing; the
+    torque at a given speed would be too large.
+    """
+    axis = known.axes[joint]
+    samples = 2 * round(0.5 * WINDOW / (rec.sample_time)) + 1
+    if len(np.flatnonzero(rec["phase"] == PUSHING)) < 2 * samples:
+        raise RecordingError(f"joint {joint} was pushed for less than {2 * samples} samples")
+    _, speed, friction = pushed_way(rec, known, joint, direction, WINDOW)
+    edge = samples // 2
+    held = (friction - axis.viscous * speed)[edge:-edge]
+    if speed[edge:-edge].max() < AWAY * axis.pace:
+        raise RecordingError(
+            f"joint {joint} did not break away: {held.max():.3g} {axis.force} were not enough; look"
+            " at the recording"
+        )
+    twice = smoothed(held, 2 * samples + 1)
+    return float(held.max()), float(LARGEST * np.std(held - twice))
+
+
+def bristle_stiffness(
+    pushed: tuple[Array, Array, Array], axis: Axis, level: float, part: float = 0.7
+) -> float:
+    """Stiffness of the spring that friction is before the joint slides, N m/rad, from a fast push.
+
+    friction = level (1 - exp(-stiffness way / level)) + damping speed (Dahl 1968), for the first
+    ``part`` of the breakaway torque. A slow push would measure creep instead: the noise of the
+    drive shakes the joint and lets bristles slip.
+    """
+    from scipy.optimize import least_squares
+
+    way, speed, friction = pushed
+    last = int(np.argmax(friction > part * level)) or len(way)
+    way, speed, friction = way[:last], speed[:last], friction[:last]
+
+    def miss(x: Array) -> Array:
+        gone = np.exp(-1e4 * x[0] * (way - 1e-4 * x[2]) / level)
+        bent = level * (1 - gone) + x[1] * speed * gone
+        return np.asarray(bent + axis.viscous * speed - friction)
+
+    first = part * level / max(way[-1], 1e-9) / 1e4
+    return 1e4 * float(least_squares(miss, [first, 0.0, 0.0]).x[0])
+
+
+def _draw(found: Mapping[int, Pushes], bench: Bench) -> str:
+    """Draw each push at its place, corrected as the mean is."""
+    columns = min(3, len(found))
+    figure, axes = make_figure(-(-len(found) // columns), columns, width=max(4.5 * columns, 6.0))
+    for panel, (joint, pushes) in zip(axes.flat, found.items(), strict=False):
+        axis = pushes.axis
+        turning = axis.unit == "rad"
+        for direction, colour, word in (
+            (1, BLUE, "counterclockwise" if turning else "positive"),
+            (-1, RED, "clockwise" if turning else "negative"),
+        ):
+            positions = [push.place for push in pushes.by[direction]]
+            torques = np.array([push.torque for push in pushes.by[direction]]) + pushes.early.value
+            panel.plot(positions, torques, "o", color=colour, label=word, markersize=6)
+            panel.axhline(float(np.mean(torques)), color=colour, linewidth=0.8, linestyle="--")
+        low, high = panel.get_ylim()
+        panel.set_ylim(low - 0.25 * (high - low), high + 0.5 * (high - low))
+        what = "torque" if turning else "force"
+        label(
+            panel, f"start position ({axis.unit})", f"breakaway {what} ({axis.force})",
+            f"joint {joint}" + ("" if pushes.apart else ", less its weight"), legend=True,
+        )  # fmt: skip
+    for panel in axes.flat[len(found) :]:
+        panel.set_visible(False)
+    return save(figure, bench.folder / "static.png")

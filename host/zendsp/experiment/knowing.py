@@ -1,0 +1,164 @@
+"""How an experiment comes to know its machine: the shipped arm's settings, a model file, or the
+low-speed experiment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from zendsp.errors import ModelError
+from zendsp.experiment.joints import (
+    BRAKED,
+    USED,
+    Axis,
+    Known,
+    Load,
+    Rigid,
+    axis_of,
+    load_of,
+    rigid_of,
+)
+from zendsp.experiment.lab import Bench, Lab, needed
+from zendsp.experiment.planar_arm import ARM
+from zendsp.experiment.result import Estimate, Result
+from zendsp.physics import load_model
+from zendsp_protocol.texts import counted
+
+PROGRAM = "joint_pd.c"
+WAY, BRAKES = 0.7, 0.1  # of the range: of a push at constant torque, and to stop within
+TOUCH = 0.02  # of the largest torque: friction as it is taken before anything is known
+
+
+def shipped(lab: Lab) -> Known | None:
+    """The settings of the shipped arm, where the lab has no target or one with that machine, and no
+    model is given.
+    """
+    return ARM if lab.model is None and lab.shipped("low-speed") == ARM.machine else None
+
+
+def model_of(lab: Lab, joints: int) -> Rigid | None:
+    """What the lab's model says of the torque beside friction.
+
+    Raises
+    ------
+    ModelError
+        It is of another number of joints.
+    """
+    if lab.model is None:
+        return None
+    model = load_model(lab.model)
+    if model.joints != joints:
+        raise ModelError(
+            f"{lab.model} has {counted(model.joints, 'joint')} and {lab.machine_of('low-speed')},"
+            f" which is measured, {joints}: give a model of that machine"
+        )
+    return rigid_of(model)
+
+
+def first_look(bench: Bench, lab: Lab) -> Known:
+    """A machine of which nothing is known but what it says itself, and what a model says.
+
+    Nothing moves: the program that holds every joint runs for 0.2 s, and tells where they stand and
+    what they turn.
+    """
+    pose = np.atleast_1d(
+        bench.record("where_it_stands", PROGRAM, ("play_time", "q", "tau"), seconds=0.2)["q"][-1]
+    )
+    infos = bench.machine.joints
+    rigid = model_of(lab, len(infos))
+    said = np.atleast_1d(np.asarray(bench.target["J"], dtype=np.float64))
+    axes = {}
+    for number, info in enumerate(infos, start=1):
+        if info.command == "none":
+            continue
+        load = Load(float(said[number - 1]))
+        if rigid is not None:
+            load = load_of(rigid, pose, number, info.unit != "rad")
+        axes[number] = axis_of(number, info, float(pose[number - 1]), load, TOUCH * info.torque_max)
+    return Known(lab.machine_of("low-speed"), axes, pose, rigid, apart=rigid is not None)
+
+
+def with_values(
+    lab: Lab, name: str, make: Callable[[Lab], Result], values: Sequence[str]
+) -> Result:
+    """Another experiment's result on the same machine that has these values, read from this folder
+    or made now.
+    """
+    found = needed(lab, name, make)
+    if all(value in found.values for value in values):
+        return found
+    lab.say(f"{name} in {lab.folder} lacks a joint: it is made again")
+    found = make(lab)
+    found.save(lab.folder / name / "result.toml")
+    return found
+
+
+def as_found(bench: Bench, lab: Lab, low: Result | None) -> Known:
+    """The machine with what the low-speed experiment found of its joints, in the pose in which it
+    found it.
+    """
+    arm = shipped(lab)
+    if arm is not None or low is None:
+        return arm or ARM
+    first = first_look(bench, lab)
+    infos = bench.machine.joints
+    pose = np.array([low.values[f"place{j}"].value for j in range(1, len(infos) + 1)])
+    axes = dict(first.axes)
+    for j, axis in first.axes.items():
+        slides = axis.unit != "rad"
+        if first.rigid is not None:
+            load = load_of(first.rigid, pose, j, slides)
+        elif f"inertia{j}" in low.values:
+            load = _load(low, j, axis.load.inertia)
+        else:
+            continue
+        level, slope = (
+            low.values[f"{name}{j}"].value if f"{name}{j}" in low.values else instead
+            for name, instead in (("level", axis.level), ("slope", 0.0))
+        )
+        place = float(pose[j - 1])
+        # where friction falls with speed its slope there says nothing of high speeds
+        viscous = max(slope, abs(level) / axis.speed)
+        axes[j] = with_pushes(axis_of(j, infos[j - 1], place, load, abs(level), viscous))
+    return replace(first, axes=axes, pose=pose, stands=first.pose)
+
+
+def _load(low: Result, joint: int, said: float) -> Load:
+    """What a joint moves as the low-speed experiment found it; where the inertia is not told from
+    zero that which the machine says.
+    """
+    found = low.values[f"inertia{joint}"]
+    flat, cos, sin = weight_of(low, joint)
+    inertia = found.value if found.value > 2.0 * found.std else said
+    uneven = low.values[f"uneven{joint}"].value if f"uneven{joint}" in low.values else 0.0
+    std = max(flat.std, cos.std)
+    return Load(inertia, flat.value, cos.value, sin.value, found.std, std, uneven)
+
+
+def weight_of(low: Result, joint: int) -> list[Estimate]:
+    """The parts of a joint's weight that the low-speed experiment found: the same everywhere, by
+    cos q, by sin q.
+    """
+    return [low.values.get(f"weight{joint}{part}", Estimate(0.0)) for part in ("", "_cos", "_sin")]
+
+
+def with_pushes(axis: Axis) -> Axis:
+    """The joint with pushes at constant torque: speeds that it reaches, and stops from, within its
+    range, its largest speed and torque.
+    """
+    load, room = axis.load, axis.high - axis.low
+    settles = load.inertia / max(axis.viscous, 1e-9)  # s
+    spare = max(0.0, 0.5 * USED * axis.torque - load.most - axis.level)
+    speeds = [USED * 0.75 * axis.speed, spare / max(axis.viscous, 1e-9)]
+    speeds.append(max(WAY * room / (1.2 * settles), 2.0 * axis.pace))
+    stops = 0.5 * USED * axis.torque / load.inertia  # rad/s^2
+    speeds += [BRAKES * room / BRAKED, (2.0 * BRAKES * room * stops) ** 0.5]
+    top = min(speeds)
+    if not top > axis.pace:
+        return axis
+    return replace(axis, speeds=tuple(np.geomspace(max(0.4 * top, axis.pace), top, 5).tolist()))
+
+

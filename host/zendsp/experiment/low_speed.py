@@ -1,0 +1,306 @@
+"""Sliding friction at low speed along a triangular velocity; and from the same recording what each
+joint moves: its inertia and its weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import Refused
+from zendsp.experiment.estimates import NORMAL, half_width, smoothed
+from zendsp.experiment.figures import AMBER, BLUE, label, make_figure, save
+from zendsp.experiment.joints import Array, Axis, Known, Load
+from zendsp.experiment.knowing import PROGRAM, first_look, shipped
+from zendsp.experiment.lab import Bench, Lab, playing
+from zendsp.experiment.moved import Moved, measured_load
+from zendsp.experiment.push import travel_time
+from zendsp.experiment.result import Estimate, Result
+from zendsp.recording import Recording
+from zendsp.reference import Reference
+from zendsp.reference.profiles import integrate_velocity, make_grid
+
+Mask = npt.NDArray[np.bool_]
+
+NEAR = 0.02  # of the peak: speeds of the curve that one row of its table is the mean of
+AT = (-0.9, -0.5, -0.2, -0.1, 0.1, 0.2, 0.5, 0.9)  # of the peak: speeds of the table
+SMOOTH = 0.041  # s, of the local parabola
+ACTS = 1.5  # samples from a command to the middle of what it does
+QUICKER = 2.5  # speed of the quick triangles over that of the slow ones
+QUICK = 4  # cycles of them
+LEAST, SURELY, PEAK = 0.05, 0.4, 0.95  # of the peak: speeds that the load is fitted to
+QUIET = 0.2  # of the acceleration, what the encoder's counts may add to it
+ROWS = 50000  # of a program's table, at most
+
+
+class Triangles(NamedTuple):
+    """A motion of one joint: slow triangles and then, where any, quick ones of the same way; the
+    rows of a cycle of each.
+    """
+
+    reference: Reference
+    slow: int
+    quick: int
+    stride: int  # samples a row
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Speed, friction and where the joint loses speed, over the slow triangles; and the load."""
+
+    speed: Array
+    friction: Array
+    slowing: Mask
+    load: Load
+
+
+def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result:
+    """Friction at low speed: a triangular velocity up and down, both ways, repeated and averaged.
+
+    Inertia and weight are those of the model where there is one. Otherwise quick triangles follow
+    the slow ones, and both are fitted together with friction.
+
+    Parameters
+    ----------
+    lab : Lab
+    cycles : int
+        Of the slow triangles that are averaged.
+    joints : tuple of int
+        Which; default: all that have a drive.
+    """
+    arm = shipped(lab)
+    machine = lab.machine_of("low-speed")
+    title = "of the planar arm " if arm is not None else ""
+    result = Result("low-speed", f"Friction {title}at low speed", machine)
+    curves: dict[int, tuple[Axis, Curve]] = {}
+    with lab.bench(result.name) as bench:
+        known = arm or first_look(bench, lab)
+        period = 1e-3 if arm is not None else 1.0 / bench.target.status().rate_hz
+        for joint in joints or known.axes:
+            axis = known.axes[joint]
+            motion = triangles(axis, known, cycles, period)
+            rec = bench.record(
+                f"joint{joint}", known.program, ["play_time", "q", "tau"], decimation=motion.stride,
+                reference=motion.reference, before=_approach(known, motion), **known.values,
+            )
+            curves[joint] = axis, friction_curve(rec, known, axis, motion)
+        result.recordings, result.target = bench.recordings, bench.where
+        for axis, curve in curves.values():
+            _report(result, known, axis, curve)
+            np.savez(
+                bench.folder / f"curve{axis.number}.npz", speed=curve.speed,
+                friction=curve.friction, slowing=curve.slowing,
+            )  # fmt: skip
+        for number, place in enumerate(known.pose, start=1):
+            result.values[f"place{number}"] = Estimate(float(place), 0.0, _unit(known, number))
+        result.figure = _draw(curves, cycles, bench)
+    return result
+
+
+def _unit(known: Known, number: int) -> str:
+    return known.axes[number].unit if number in known.axes else ""
+
+
+def _approach(known: Known, motion: Triangles) -> float:
+    """Time to the first row, s; the shipped arm has its own."""
+    if known.program != PROGRAM:
+        return 1.0
+    return travel_time(known, known.pose, motion.reference.q[0])
+
+
+def triangles(axis: Axis, known: Known, cycles: int, period: float) -> Triangles:
+    """Speed 0, peak, 0, -peak, 0 in straight lines, ``cycles`` + 1 times; and quicker ones where
+    the load is not known.
+    """
+    if not axis.travel > 0.0:
+        raise Refused(
+            f"joint {axis.number}: its range is {axis.low:g} to {axis.high:g} {axis.unit}: no way"
+            " to move"
+        )
+    unknown = known.rigid is None
+    rise = axis.travel / axis.pace
+    total = 4.0 * rise * (cycles + 1 + (QUICK / QUICKER if unknown else 0.0))
+    stride = max(1, int(np.ceil(total / period / ROWS)))
+    step = period * stride
+    rows = round(rise / step)
+    slow, quick = rows * step, max(1, round(rows / QUICKER)) * step
+    peaks = [axis.pace] * (cycles + 1) + ([axis.pace * rise / quick] * QUICK if unknown else [])
+    rises = np.repeat([slow] * (cycles + 1) + ([quick] * QUICK if unknown else []), 4)
+    knots = np.r_[0.0, np.cumsum(rises)].tolist()
+    values = [v for peak in peaks for v in (0.0, peak, 0.0, -peak)] + [0.0]
+    motion = integrate_velocity(make_grid(knots[-1], step), knots, values)
+    q = np.tile(known.pose, (len(motion[0]), 1))
+    qd, qdd = np.zeros_like(q), np.zeros_like(q)
+    j = axis.number - 1
+    q[:, j] = axis.middle - 0.5 * axis.travel + motion[0]
+    qd[:, j], qdd[:, j] = motion[1:]
+    reference = Reference(q, step, qd, qdd, kind="triangle", machine="")
+    return Triangles(reference, 4 * rows, 4 * round(quick / step) if unknown else 0, stride)
+
+
+def friction_curve(rec: Recording, known: Known, axis: Axis, motion: Triangles) -> Curve:
+    """Speed and friction torque (the torque less what inertia and weight take) of one joint over a
+    slow cycle, averaged over all but the first; and where the joint loses speed.
+
+    After a reversal bristles bend first; only while it loses speed does the joint surely slide. The
+    average is smoothed by a local parabola of 41 ms before it is differentiated.
+    """
+    rows = playing(rec, motion.reference.samples)
+    n = len(known.pose)
+    q, tau = (rec[name].reshape(-1, n)[rows] for name in ("q", "tau"))
+    dt, period = rec.sample_time, rec.sample_time / rec.decimation
+    # what acts at a sample is the mean of the commands of the two samples before it
+    t = np.arange(len(q)) * dt
+    tau = np.stack([np.interp(t - ACTS * period, t, column) for column in tau.T], axis=1)
+    quick = QUICK * motion.quick
+    cycles = (motion.reference.samples - quick) // motion.slow
+    slow = slice(motion.slow, cycles * motion.slow)
+    window = _window(axis, dt)
+
+    def averaged(x: Array) -> Array:
+        return np.asarray(x[slow].reshape(cycles - 1, motion.slow, n).mean(axis=0))
+
+    mean_q, mean_tau = averaged(q), averaged(tau)
+    qd, qdd = (smoothed(mean_q, window, dt, order, ends="wrap") for order in (1, 2))
+    torque = smoothed(mean_tau, window, ends="wrap")
+    j = axis.number - 1
+    load = axis.load
+    if known.rigid is None:
+        begun = cycles * motion.slow + motion.quick
+        parts = [
+            _part(q[rows_, j], tau[rows_, j], dt, (window, cycle // 4))
+            for rows_, cycle in (
+                (slow, motion.slow),
+                (slice(begun, begun + (QUICK - 1) * motion.quick), motion.quick),
+            )
+        ]
+        load = measured_load(parts, axis)
+        # another joint that gave way has changed the weight
+        away = float(np.ptp(np.delete(mean_q, j, axis=1), axis=0).max(initial=0.0))
+        if load.weighs:
+            load = replace(load, weight_std=float(np.hypot(load.weight_std, load.most * away)))
+        known = replace(known, axes={axis.number: replace(axis, load=load)})
+    friction = torque[:, j] - known.other(axis.number, mean_q, qd, qdd)
+    v = qd[:, j]
+    # slower than what one window gains, the smoothing mixes both directions
+    mixed = np.abs(v) < 0.5 * window * dt * axis.pace**2 / axis.travel
+    slowing = (v * qdd[:, j] < 0) & _after_peak(v, axis.pace) & ~mixed
+    order = np.argsort(v)
+    return Curve(v[order], friction[order], slowing[order], load)
+
+
+def _after_peak(v: Array, peak: float) -> Mask:
+    """Rows of a cycle from a peak of the speed to the next reversal: bristles that bend after it
+    swing, and lose speed as well.
+    """
+    after = np.zeros(len(v), dtype=bool)
+    ends = np.flatnonzero(np.diff(np.sign(v)) != 0) + 1
+    for first, last in zip(np.r_[0, ends], np.r_[ends, len(v)], strict=True):
+        size = np.abs(v[first:last])
+        if size.max(initial=0.0) > 0.5 * peak:
+            after[first + int(np.argmax(size)) : last] = True
+    return after
+
+
+def _window(axis: Axis, dt: float) -> int:
+    """Samples of the local parabola: 41 ms, and more where a coarse encoder would hide whether the
+    joint gains or loses speed.
+
+    Of n samples with a standard deviation s the second derivative has s sqrt(720/n^5)/dt^2.
+    """
+    counts = axis.count / 12**0.5
+    wanted = QUIET * axis.pace**2 / axis.travel
+    samples = (720.0 * (counts / (wanted * dt**2)) ** 2) ** 0.2
+    return int(max(5, 2 * round(0.5 * max(SMOOTH / dt, float(samples))) + 1))
+
+
+def _part(q: Array, tau: Array, dt: float, windows: tuple[int, int]) -> Moved:
+    """Rows of a joint's motion, smoothed, that say what it moves: those that surely slide, and that
+    are not beside a jump of the acceleration. ``windows``: rows that are smoothed over, and of a
+    rise to the peak.
+    """
+    window, rise = windows
+    qd, qdd = (smoothed(q, window, dt, order) for order in (1, 2))
+    pace = np.abs(qd) / np.percentile(np.abs(qd), 99)
+    surely = (pace > SURELY) | ((qd * qdd < 0) & (pace > LEAST))
+    edge = np.arange(len(q))
+    rows = surely & (pace < min(PEAK, 1.0 - 0.6 * window / rise))
+    rows &= (edge > window) & (edge < len(q) - window)
+    every = np.flatnonzero(rows)[:: max(1, window // 4)]
+    return Moved(smoothed(q, window)[every], qd[every], qdd[every], smoothed(tau, window)[every],
+                 np.cumsum(np.abs(np.diff(rows, prepend=False)))[every])  # fmt: skip
+
+
+def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
+    """The rows of the table; and of a machine that is not the shipped one the load and the line
+    that friction ends in.
+    """
+    v, f = curve.speed, curve.friction
+    for share in AT:
+        near = (np.abs(v - share * axis.pace) < NEAR * axis.pace) & curve.slowing
+        if near.any():
+            result.tables.setdefault("curve", []).append(
+                {
+                    "joint": axis.number,
+                    f"speed {axis.unit}/s": round(share * axis.pace, 6),
+                    f"friction {axis.force}": float(f"{f[near].mean():.4g}")
+                    if known.program == PROGRAM else round(float(f[near].mean()), 3),
+                }
+            )  # fmt: skip
+    if known.program != PROGRAM:
+        return
+    j, force, unit, load = axis.number, axis.force, axis.unit, curve.load
+    inertia = "kg m^2" if unit == "rad" else "kg"
+    result.values[f"inertia{j}"] = Estimate(load.inertia, load.inertia_std, inertia)
+    for name, value in (("", load.flat), ("_cos", load.cos), ("_sin", load.sin)):
+        if value or (name == "") == (unit == "m"):
+            result.values[f"weight{j}{name}"] = Estimate(value, load.weight_std, force)
+    if load.uneven:
+        result.values[f"uneven{j}"] = Estimate(load.uneven, load.weight_std, force)
+    result.values[f"peak{j}"] = Estimate(axis.pace, 0.0, f"{unit}/s")
+    sliding = curve.slowing & (np.abs(v) > LEAST * axis.pace) & (np.abs(v) < PEAK * axis.pace)
+    up = np.sign(v[sliding])
+    A = np.stack([np.ones(len(up)), np.abs(v[sliding]), up], axis=1)
+    size = up * f[sliding]
+    solution = np.linalg.lstsq(A, size, rcond=None)[0]
+    left = size - A @ solution
+    # neighbouring points share their smoothing: each tenth of the speeds counts as one
+    scale = float(half_width(float(np.std(left)), 16) / NORMAL / 10**0.5)
+    result.values[f"level{j}"] = Estimate(float(solution[0]), scale, force)
+    slope = scale * 12**0.5 / axis.pace
+    result.values[f"slope{j}"] = Estimate(float(solution[1]), slope, f"{force} s/{unit}")
+    if known.rigid is None and load.weighs and not load.uneven:
+        result.warnings.append(
+            f"Joint {j} carries up to {load.most:.3g} {force}. By motion alone that is not told"
+            " from a friction that is larger in one direction: both directions are taken to be"
+            " alike. A model (--model) tells them apart."
+        )
+    if known.rigid is None and load.inertia < 2.0 * load.inertia_std:
+        result.warnings.append(
+            f"Joint {j}: its inertia, {result.values[f'inertia{j}']}, is not told from zero."
+        )
+
+
+def _draw(curves: Mapping[int, tuple[Axis, Curve]], cycles: int, bench: Bench) -> str:
+    columns = min(3, len(curves))
+    figure, axes = make_figure(-(-len(curves) // columns), columns, width=max(4.5 * columns, 6.0))
+    for panel, (axis, curve) in zip(axes.flat, curves.values(), strict=False):
+        v, f, slowing = curve.speed, curve.friction, curve.slowing
+        panel.plot(
+            v[~slowing], f[~slowing], ".", color=AMBER, markersize=1.5, label="gaining speed"
+        )
+        panel.plot(
+            v[slowing], f[slowing], ".", color=BLUE, markersize=1.5, label="losing speed: sliding"
+        )
+        what = "torque" if axis.unit == "rad" else "force"
+        label(
+            panel, f"speed ({axis.unit}/s)", f"friction {what} ({axis.force})",
+            f"joint {axis.number}: mean of {cycles} triangles", legend=True,
+        )  # fmt: skip
+    for panel in axes.flat[len(curves) :]:
+        panel.set_visible(False)
+    return save(figure, bench.folder / "low_speed.png")

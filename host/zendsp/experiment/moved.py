@@ -1,0 +1,108 @@
+"""What a joint moves, inertia and weight, from a motion at several accelerations and places, beside
+a friction of unknown shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from zendsp.experiment.estimates import NORMAL, widest
+from zendsp.experiment.joints import Array, Axis, Load
+
+KNOTS = 5  # of the shape of friction over speed
+LATER = 0.6  # of the peak: gaining speed, bristles have surely bent; what these rows alone say
+NO_CHANCE = 0.99  # of the F distribution: what chance explains once in a hundred
+
+
+class Moved(NamedTuple):
+    """Rows of a joint's motion: position, speed, acceleration, torque, and the number of the
+    stretch that a row is of.
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    stretch: Array
+
+
+def measured_load(parts: Sequence[Moved], axis: Axis) -> Load:
+    """Inertia and weight that explain the torque of a motion, beside friction.
+
+    Friction is any function of speed that is straight between five speeds, of both directions
+    alike. A joint that turns carries a cos q + b sin q; or it carries nothing, and the directions
+    differ; or both. What is more is kept where chance would explain as much only once in a hundred
+    times, and a weight also where friction would otherwise have to drive the joint. What one that
+    slides carries is the same everywhere: it is all that the directions differ by, where that is
+    told from zero.
+
+    Parameters
+    ----------
+    parts : sequence of Moved
+        At different accelerations.
+    axis : Axis
+
+    Returns
+    -------
+    Load
+    """
+    offset = np.cumsum([0, *(part.stretch.max(initial=0) + 1 for part in parts)])
+    q, qd, qdd, tau = (np.concatenate([p[k] for p in parts]) for k in range(4))
+    stretch = np.concatenate([p.stretch + k for p, k in zip(parts, offset, strict=False)])
+    place = np.digitize(q, np.linspace(q.min(), q.max(), 11)[1:-1])
+    pace = np.concatenate([np.abs(p.qd) / np.abs(p.qd).max(initial=1e-12) for p in parts])
+    later = (qd * qdd < 0) | (pace > LATER)
+    even = np.stack([*_shape(qd), qdd], axis=1)
+    one, turning = np.ones((len(q), 1)), np.stack([np.cos(q), np.sin(q)], axis=1)
+    free = len(np.unique(stretch))
+
+    def solved(more: Array, weight: slice) -> tuple[Array, Array, float]:
+        """Solution; deviations of the inertia and of the weight, the largest of the way; squares.
+        """
+        A = np.hstack([even, more])
+        x = np.linalg.lstsq(A, tau, rcond=None)[0]
+        left = tau - A @ x
+        groups = [(stretch, free - A.shape[1]), (place, 9)]
+        ways = np.zeros((4, A.shape[1]))
+        ways[0, KNOTS] = 1.0
+        ends = [int(np.argmin(q)), int(np.argmin(np.abs(q - q.mean()))), int(np.argmax(q))]
+        ways[1:, KNOTS + 1 :][:, weight] = more[ends][:, weight]
+        half = widest(A, left, np.linalg.pinv(A.T @ A), ways, groups) / NORMAL
+        # friction that lags behind the speed looks like inertia and weight: by how much others do
+        other = np.linalg.lstsq(A[later], tau[later], rcond=None)[0]
+        half = np.hypot(half, ways @ (x - other))
+        return x, np.array([half[0], half[1:].max()]), float(left @ left)
+
+    x, std, squares = solved(one, slice(0, 1))
+    drives = abs(x[-1]) > float(np.min(x[:KNOTS]))
+    if axis.unit != "rad":
+        flat = float(x[-1]) if drives or abs(x[-1]) > 2.0 * std[1] else 0.0
+        return Load(float(x[KNOTS]), flat=flat, inertia_std=float(std[0]), weight_std=float(std[1]))
+    y, std_y, squares_y = solved(turning, slice(0, 2))
+    if not drives and not _more(squares, squares_y, free - KNOTS - 3):
+        return Load(float(x[KNOTS]), inertia_std=float(std[0]), weight_std=float(std[1]))
+    z, std_z, squares_z = solved(np.hstack([turning, one]), slice(0, 2))
+    uneven = abs(z[-1]) < float(np.min(z[:KNOTS])) and _more(squares_y, squares_z, free - KNOTS - 4)
+    best, half = (z, std_z) if uneven else (y, std_y)
+    return Load(
+        float(best[KNOTS]), cos=float(best[KNOTS + 1]), sin=float(best[KNOTS + 2]),
+        inertia_std=float(half[0]), weight_std=float(half[1]),
+        uneven=float(z[-1]) if uneven else 0.0,
+    )  # fmt: skip
+
+
+def _more(without: float, within: float, free: int) -> bool:
+    """Whether one number more explains what chance would only once in a hundred times."""
+    from scipy.special import fdtri
+
+    return bool(without - within > fdtri(1, free, NO_CHANCE) * within / free)
+
+
+def _shape(qd: Array) -> list[Array]:
+    """Columns of friction: a hat at each knot of the speed, with the sign of the speed."""
+    pace = np.abs(qd)
+    knots = np.geomspace(np.percentile(pace, 1), pace.max(), KNOTS)
+    return [np.sign(qd) * np.interp(pace, knots, row) for row in np.eye(KNOTS)]
