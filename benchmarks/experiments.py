@@ -26,12 +26,13 @@ from matplotlib.figure import Figure
 from zendsp.experiment import EXPERIMENTS as ALL
 from zendsp.experiment import Lab, Result
 from zendsp.experiment.any_friction import friction
-from zendsp.experiment.imi_breakaway import static
-from zendsp.experiment.imi_friction import viscous
+from zendsp.experiment.breakaway import breakaway
+from zendsp.experiment.high_speed import high_speed
 from zendsp.experiment.lab import Bench
+from zendsp.experiment.low_speed import low_speed
 from zendsp.experiment.mechanics import mechanical
 from zendsp.experiment.motor import electrical
-from zendsp.experiment.truth import FRICTION, TRUTH
+from zendsp.experiment.truth import FRICTION, PENDULUM, TRUTH
 from zendsp.experiment.wam_friction import friction as wam_friction
 from zendsp.link import local
 from zendsp.recording import Recording
@@ -66,7 +67,7 @@ def _any(machine: str, make: Callable[..., Result], joint: int) -> Callable[[Lab
 
 
 def of_model(file: Path) -> dict[str, Repeated]:
-    """`friction` and `mechanical` of each joint of a MuJoCo model, and what the file says of it.
+    """The friction experiments of each joint of a MuJoCo model, and what the file says of it.
     Inertia and weight of a joint that carries others depend on how these hang: they are compared
     where the joint stands alone.
     """
@@ -81,6 +82,13 @@ def of_model(file: Path) -> dict[str, Repeated]:
         n, loss, damping = j + 1, float(model.dof_frictionloss[j]), float(model.dof_damping[j])
         truth = {f"coulomb{n}{end}": loss for end in ("", "_pos", "_neg")}
         truth |= {f"viscous{n}{end}": damping for end in ("", "_pos", "_neg")}
+        for name, make, names in (
+            ("low-speed", low_speed, ("level", "slope")),
+            ("breakaway", breakaway, ("breakaway",)),
+            ("high-speed", high_speed, ("level", "viscous")),
+        ):
+            own = dict(zip((f"{each}{n}" for each in names), (loss, damping), strict=False))
+            found[f"{name}, {file.stem}, joint {n}"] = Repeated(_any(str(file), make, n), own)
         found[f"friction, {file.stem}, joint {n}"] = Repeated(_any(str(file), friction, n), truth)
         if model.nv == 1:
             level = float(data.qfrc_bias[0])
@@ -100,9 +108,15 @@ def of_model(file: Path) -> dict[str, Repeated]:
 
 EXPERIMENTS: dict[str, Repeated] = {
     "breakaway": Repeated(
-        lambda lab: static(lab, PLACES), TRUTH["breakaway"], f"{PLACES} places a direction"
+        lambda lab: breakaway(lab, PLACES), TRUTH["breakaway"], f"{PLACES} places a direction"
     ),
-    "high-speed": Repeated(viscous, TRUTH["high-speed"]),
+    "high-speed": Repeated(high_speed, TRUTH["high-speed"]),
+    **{
+        f"{name}, pendulum, joint 1": Repeated(_any("pendulum", make, 1), PENDULUM[name])
+        for name, make in (
+            ("low-speed", low_speed), ("breakaway", breakaway), ("high-speed", high_speed)
+        )
+    },
     "electrical": Repeated(electrical, TRUTH["electrical"]),
     "mechanical": Repeated(mechanical, TRUTH["mechanical"]),
     **{

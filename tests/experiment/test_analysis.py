@@ -10,11 +10,11 @@ import pytest
 
 from zendsp.errors import RecordingError
 from zendsp.experiment.any_friction import fit_line
+from zendsp.experiment.breakaway import breakaway_torque, bristle_stiffness, pushed_way
 from zendsp.experiment.estimates import line_fit, mean_of
-from zendsp.experiment.imi_breakaway import breakaway_torque, bristle_stiffness, pushed_way
-from zendsp.experiment.imi_fit import fit_curve
-from zendsp.experiment.imi_friction import inertia_torque
+from zendsp.experiment.friction_curve import fit_curve
 from zendsp.experiment.motor import steady_means
+from zendsp.experiment.planar_arm import ARM, inertia_torque
 from zendsp.experiment.sliding import (
     Sliding,
     cannot_separate,
@@ -59,21 +59,22 @@ def pushed(rate: float, samples: int, level: float = 6.0, stiffness: float = 500
 @pytest.mark.parametrize("rate", [0.5, 1.0])
 def test_the_breakaway_torque_is_what_friction_held_and_not_what_was_given(rate: float) -> None:
     rec = pushed(rate, 20000)
-    assert breakaway_torque(rec, 1) == pytest.approx(6.0, rel=0.01)
+    assert breakaway_torque(rec, ARM, 1, 1)[0] == pytest.approx(6.0, rel=0.01)
     assert rec["torque"][-1] > 6.0 * 1.03, "while it runs away the torque goes on growing"
 
 
 def test_a_joint_that_only_creeps_has_not_broken_away() -> None:
     rec = pushed(1.0, 4000)
     with pytest.raises(RecordingError, match="did not break away"):
-        breakaway_torque(rec, 1)
+        breakaway_torque(rec, ARM, 1, 1)
 
 
 def test_the_stiffness_of_bristles_is_found_with_a_noisy_encoder() -> None:
     fast = pushed(2.0, 20000)
-    assert bristle_stiffness(pushed_way(fast, 1, 31), 1, 6.0) == pytest.approx(5000, rel=0.01)
+    way, axis = pushed_way(fast, ARM, 1, 1, 0.031), ARM.axes[1]
+    assert bristle_stiffness(way, axis, 6.0) == pytest.approx(5000, rel=0.01)
     # the first 30 % of the torque are eighteen times the encoder's noise
-    assert bristle_stiffness(pushed_way(fast, 1, 31), 1, 6.0, 0.3) == pytest.approx(5000, rel=0.06)
+    assert bristle_stiffness(way, axis, 6.0, 0.3) == pytest.approx(5000, rel=0.06)
 
 
 def test_intervals_of_few_measurements_hold_the_truth() -> None:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from zendsp.experiment import Estimate, Lab, Result, run_experiment
-from zendsp.experiment.imi_breakaway import static
-from zendsp.experiment.imi_circle import circle, compensation_values
-from zendsp.experiment.imi_fit import fit
-from zendsp.experiment.imi_friction import low_speed, viscous
+from zendsp.experiment.breakaway import breakaway
+from zendsp.experiment.circle import circle, compensation_values
+from zendsp.experiment.friction_curve import friction_curve
+from zendsp.experiment.high_speed import high_speed
+from zendsp.experiment.low_speed import low_speed
 from zendsp.experiment.motor import of_the_pendulum
 from zendsp.experiment.result import FoundEffect
 from zendsp.experiment.spun_shaft import mechanical
@@ -41,13 +42,13 @@ def keep(lab: Lab, result: Result) -> Result:
 @pytest.mark.long("the slide below goes the same road; lost: what compensation gains on the arm")
 def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None:
     lab = Lab(folder)
-    found = keep(lab, static(lab, count=2))
+    found = keep(lab, breakaway(lab, count=2))
     # friction varies with place by 5 %, and two places were tried
     assert found.values["breakaway1_ccw"].value == pytest.approx(11.4 * 1.05, rel=0.07)
     assert found.values["breakaway2_cw"].value == pytest.approx(3.1 * 1.04, rel=0.07)
     assert found.values["stiffness1"].value == pytest.approx(12000, rel=0.03)
     assert found.values["stiffness2"].value == pytest.approx(1500, rel=0.03)
-    fast = keep(lab, viscous(lab, speeds=(2.2, 3.5, 5.0)))
+    fast = keep(lab, high_speed(lab, speeds=(2.2, 3.5, 5.0)))
     assert fast.values["viscous1_ccw"].value == pytest.approx(5.3 * 1.02, rel=0.01)
     assert fast.values["level2_cw"].value == pytest.approx(2.35 * 1.04, rel=0.02)
     push = Recording.load(next((folder / "high-speed").glob("joint2_+*.npz")))
@@ -58,7 +59,7 @@ def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None
     # always at the same place, and friction varies with place by 5 % of its level
     assert at[1, 0.5] == pytest.approx(8.45 * 1.05 + 5.3 * 1.02 * 0.5, rel=0.045)
     assert at[1, 0.1] > at[1, 0.2], "Stribeck: friction falls before it rises"
-    curve = keep(lab, fit(lab))
+    curve = keep(lab, friction_curve(lab))
     assert curve.values["joint1_rms"].value < 0.3
     program = compensation_values(curve)
     assert program["high1"][1] == pytest.approx(5.3, rel=0.05) and program["high2"][
@@ -220,14 +221,14 @@ def test_a_run_that_is_interrupted_leaves_the_target_stopped(tmp_path: Path) -> 
         assert target.status().drive == "stopped", "also where the experiment's program is gone"
 
 
-def test_an_experiment_refuses_another_machine_and_an_unknown_name(tmp_path: Path) -> None:
+def test_what_a_machine_lacks_and_an_unknown_name_are_refused(tmp_path: Path) -> None:
     import zendsp
     from zendsp.errors import Refused
 
     with (
         zendsp.local("pendulum", clock="fast") as target,
-        pytest.raises(Refused, match="needs the machine imi_planar"),
+        pytest.raises(Refused, match="needs 2 joints with a drive, and this machine has 1"),
     ):
-        run_experiment("breakaway", Lab(tmp_path, target))
+        run_experiment("circle", Lab(tmp_path, target))
     with pytest.raises(Refused, match="there are friction, breakaway"):
         run_experiment("nope", Lab(tmp_path))

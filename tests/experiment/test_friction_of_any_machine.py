@@ -1,0 +1,304 @@
+"""Breakaway, low speed, high speed, the friction curve and the circle on machines that zendsp does
+not know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import zendsp
+from zendsp.errors import ModelError, RecordingError, Refused
+from zendsp.experiment import Estimate, Lab, Result
+from zendsp.experiment.breakaway import Push, Pushes, _report_stiffness, breakaway
+from zendsp.experiment.circle import circle
+from zendsp.experiment.friction_curve import friction_curve
+from zendsp.experiment.high_speed import _unfit, high_speed
+from zendsp.experiment.joints import Known, Load, axis_of, load_of, rigid_of
+from zendsp.experiment.knowing import with_pushes
+from zendsp.experiment.low_speed import low_speed
+from zendsp.experiment.moved import Moved, measured_load
+from zendsp.experiment.plane import circle_of, fitting_circle, plane_of
+from zendsp.experiment.push import Pusher
+from zendsp.experiment.result import FoundEffect
+from zendsp.link import Target
+from zendsp.physics import load_model, parse_model
+from zendsp.recording import Recording
+from zendsp_protocol.messages import JointInfo
+
+MODELS = Path(__file__).parents[2] / "examples" / "models"
+LIFT = """<mujoco model="lift"><worldbody><body><joint name="lift" type="slide" axis="0 0 1"
+frictionloss="6" damping="20" range="-1 1"/><geom size="0.1" mass="3"/></body></worldbody>
+<actuator><motor joint="lift" ctrlrange="-150 150"/></actuator></mujoco>"""
+# two links in a vertical plane, their axes against one another
+TWO = """<mujoco model="two"><compiler angle="radian"/>
+<default><joint armature="0.05" range="-2 2"/><geom type="capsule" size="0.03" contype="0"/>
+</default><worldbody><body pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="1.2"
+frictionloss="1.5"/><geom fromto="0 0 0 0 0 -0.4" mass="2"/><body pos="0 0 -0.4">
+<joint name="elbow" axis="0 -1 0" damping="0.3" frictionloss="0.6"/>
+<geom fromto="0 0 0 0.3 0 0" mass="1"/></body></body></worldbody><actuator>
+<motor joint="shoulder" ctrlrange="-80 80"/><motor joint="elbow" ctrlrange="-30 30"/></actuator>
+</mujoco>"""
+JOINT = JointInfo(
+    name="j", position_min=-2.0, position_max=2.0, speed_max=6.0, torque_max=30.0,
+    counts_per_unit=20000.0,
+)  # fmt: skip
+
+
+def model_of(folder: Path, xml: str, joints: int) -> Path:
+    """A model file that leaves all to the MJCF."""
+    (folder / "machine.xml").write_text(xml)
+    q = [f"q{j + 1}" for j in range(joints)]
+    file = folder / "machine.toml"
+    file.write_text(
+        'name = "machine"\nsample_time = 0.001\n[mechanism]\nkind = "mjcf"\nfile = "machine.xml"\n'
+        f"[actuator]\ngain = {{ value = {[1.0] * joints}, free = false }}\nhold = 0.001\n"
+        f"delay = 0.00116\n[columns]\nposition = {q}\ncommand = {[f't{k}' for k in q]}\n"
+    )
+    return file
+
+
+@pytest.fixture(scope="module")
+def lift(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Target, Path]]:
+    """A lift of 3 kg, 6 N and 20 N s/m, and a folder with its low-speed experiment."""
+    folder = tmp_path_factory.mktemp("lift")
+    (folder / "lift.xml").write_text(LIFT)
+    with zendsp.local(str(folder / "lift.xml"), clock="fast", options=["--speed", "100"]) as target:
+        low_speed(Lab(folder, target), cycles=2).save(folder / "low-speed" / "result.toml")
+        yield target, folder
+
+
+def holds(found: Result, name: str, true: float, share: float) -> None:
+    """The value is within a share of the truth, and within four of its deviations."""
+    estimate = found.values[name]
+    assert estimate.value == pytest.approx(true, rel=share), name
+    assert abs(estimate.value - true) < 4 * estimate.std + 1e-3 * true, name
+
+
+def stays_within(folder: Path) -> None:
+    """No recording leaves the lift's range or 0.8 of its speed and force by what noise adds."""
+    for file in folder.glob("*.npz"):
+        if file.name.startswith("curve"):
+            continue
+        rec = Recording.load(file)
+        q = rec["q"].ravel()
+        assert np.abs(q).max() < 1.0
+        # 2 m/s; a difference over 20 ms, so that the encoder's noise does not count
+        assert np.abs(q[20:] - q[:-20]).max() / (20 * rec.sample_time) < 0.85 * 2.0
+        assert np.abs(rec["tau"]).max() <= 150.0
+
+
+def test_a_slides_inertia_and_weight_are_told_from_its_friction(lift: tuple[Target, Path]) -> None:
+    folder = lift[1] / "low-speed"
+    found = Result.load(folder / "result.toml")
+    holds(found, "inertia1", 3.0, 0.01)
+    holds(found, "weight1", 29.43, 0.002)
+    assert "weight1_cos" not in found.values, "it does not turn"
+    holds(found, "level1", 6.0, 0.01)
+    holds(found, "slope1", 20.0, 0.01)
+    assert any("larger in one direction" in text for text in found.warnings)
+    assert {"speed m/s", "friction N"} <= set(found.tables["curve"][0])
+    stays_within(folder)
+
+
+def test_the_same_place_pushed_both_ways_separates_weight_from_friction(
+    lift: tuple[Target, Path],
+) -> None:
+    target, folder = lift
+    found = breakaway(Lab(folder, target), count=2)
+    holds(found, "breakaway1", 6.0, 0.005)
+    assert found.values["weight1"].value == pytest.approx(29.43, rel=0.001)
+    assert "breakaway1_pos" not in found.values, "the directions are not told apart"
+    assert any("falls without its drive" in text for text in found.warnings)
+    assert any("stiffness of its bristles is not told" in text for text in found.warnings)
+    for file in (folder / "breakaway").glob("joint1*.npz"):
+        rec = Recording.load(file)
+        still = rec["q"].ravel()[rec["phase"] == 1]
+        assert np.ptp(still) < 1e-3, "it does not sink while it rests"
+        after = rec["q"].ravel()[rec["phase"] >= 3]
+        assert len(after) > 50 and np.ptp(after) < 0.02, "it is braked and held"
+    stays_within(folder / "breakaway")
+
+
+def test_constant_torque_on_top_of_the_weight_gives_friction_at_high_speed(
+    lift: tuple[Target, Path],
+) -> None:
+    target, folder = lift
+    found = high_speed(Lab(folder, target), speeds=(0.5, 0.8, 1.1))
+    holds(found, "viscous1", 20.0, 0.005)
+    holds(found, "level1", 6.0, 0.005)
+    assert "level1_pos" not in found.values
+    stays_within(folder / "high-speed")
+    found.save(folder / "high-speed" / "result.toml")
+    rest = {"breakaway1": Estimate(6.0, 0.01, "N")}
+    still = Result("breakaway", "Breakaway", found.machine, rest)
+    (folder / "breakaway").mkdir(exist_ok=True)
+    still.save(folder / "breakaway" / "result.toml")
+    curve = friction_curve(Lab(folder, target))
+    size = np.polyval(np.array(curve.tables["program"][0]["high"])[::-1], [0.5, 1.0])
+    assert size == pytest.approx([16.0, 26.0], rel=0.002)
+    assert [e.kind for e in curve.effects] == ["friction_block"], "even, and no bristles"
+
+
+def test_a_push_ends_where_the_joint_sinks_and_the_machine_is_braked(
+    lift: tuple[Target, Path], tmp_path: Path
+) -> None:
+    target = lift[0]
+    known = unknown(Load(3.0))  # a weight of 29 N that nobody knows of
+    with (
+        Lab(tmp_path, target).bench("breakaway") as bench,
+        pytest.raises(RecordingError, match=r"did not stand at 0\.1 m before the push"),
+    ):
+        Pusher(bench, known).push("sinks", 1, 1, 0.1, 0.5, back=0.02)
+    rec = Recording.load(tmp_path / "breakaway" / "sinks.npz")
+    q, phase = rec["q"].ravel(), rec["phase"]
+    assert set(phase) == {0, 1, 3, 4}, "no push"
+    begin = q[phase == 1][0]
+    assert begin - q[phase == 3][0] < 0.03, "it sank by 20 mm"
+    # 0.2 s of a brake that bears 23 N at 0.4 m/s, and the loop that then holds it
+    assert begin - q.min() < 0.02 + 0.2 * 0.4 + 0.05
+
+
+def unknown(load: Load) -> Known:
+    """The lift with another load."""
+    info = JointInfo(
+        name="lift", unit="m", position_min=-1.0, position_max=1.0, speed_max=2.0, torque_max=150.0
+    )
+    return Known("lift", {1: axis_of(1, info, 0.0, load, 6.0, 20.0)}, np.zeros(1))
+
+
+def moved(weight: tuple[float, float], uneven: float) -> list[Moved]:
+    """Triangles at two accelerations of a joint of 0.3 kg m^2 with a Stribeck friction."""
+    rng, out = np.random.default_rng(7), []
+    for rise, cycles in ((1.0, 6), (0.4, 3)):
+        t = np.arange(0.0, 4 * rise * cycles, 0.01)
+        knots = np.arange(4 * cycles + 1) * rise
+        qd = np.interp(t, knots, [0.0, 1 / rise, 0.0, -1 / rise] * cycles + [0.0])
+        qdd = np.gradient(qd, t)
+        q = 0.6 - 0.5 + np.cumsum(qd) * 0.01
+        size = 2.0 + 0.5 * np.exp(-((qd / 0.3) ** 2)) + 0.4 * np.abs(qd)
+        tau = 0.3 * qdd + np.sign(qd) * size + uneven
+        tau = tau + weight[0] * np.cos(q) + weight[1] * np.sin(q)
+        tau = tau + 0.01 * rng.standard_normal(len(t))
+        rows = (np.abs(qd) > 0.1) & (np.abs(np.abs(qd) - 1 / rise) > 0.1)
+        stretch = np.cumsum(np.abs(np.diff(rows, prepend=False)))
+        out.append(Moved(q[rows], qd[rows], qdd[rows], tau[rows], stretch[rows]))
+    return out
+
+
+def test_a_weight_is_found_beside_friction_of_any_shape_and_none_where_there_is_none() -> None:
+    axis = axis_of(1, JOINT, 0.6, Load(1.0), 2.0)
+    heavy = measured_load(moved((4.0, 9.0), 0.0), axis)
+    assert (heavy.cos, heavy.sin) == pytest.approx((4.0, 9.0), abs=0.05)
+    assert heavy.inertia == pytest.approx(0.3, abs=4 * heavy.inertia_std + 0.005)
+    none = measured_load(moved((0.0, 0.0), 0.4), axis)
+    assert not none.weighs and none.inertia == pytest.approx(0.3, abs=0.01)
+    both = measured_load(moved((4.0, 9.0), 0.6), axis)
+    assert both.uneven == pytest.approx(0.6, abs=4 * both.weight_std)
+    assert both.weight(np.array([0.6]))[0] == pytest.approx(8.385, abs=4 * both.weight_std)
+
+
+def test_pushes_keep_within_what_the_machine_declares() -> None:
+    for viscous, inertia in ((0.5, 0.1), (0.25, 2.0), (1.0, 0.01)):
+        axis = with_pushes(axis_of(1, JOINT, 1.9, Load(inertia, sin=8.0), 1.5, viscous))
+        assert abs(axis.middle) + axis.travel / 2 < axis.high
+        assert axis.places[0] > axis.low and axis.places[1] < axis.high
+        assert axis.enough + axis.load.most <= 0.8 * axis.torque + 1e-9
+        assert axis.pace <= 0.2 * axis.speed and max(axis.speeds) <= 0.8 * axis.speed
+        assert axis.level + viscous * max(axis.speeds) + axis.load.most <= 0.8 * axis.torque
+
+
+def test_a_weight_that_is_not_well_known_is_not_taken_off() -> None:
+    load = Load(0.1, sin=8.0, weight_std=0.6)
+    axis = with_pushes(axis_of(1, JOINT, 0.0, load, 1.5, 0.5))
+    assert "carries 8 ± 0.6 N m beside a friction of 1.5" in _unfit(axis)
+    assert "--model" in _unfit(axis)
+    assert not _unfit(replace(axis, load=Load(0.1, sin=8.0)))
+
+
+def test_the_stiffness_of_bristles_is_told_only_where_counts_resolve_it() -> None:
+    axis = axis_of(1, JOINT, 0.0, Load(0.1), 1.5)
+    for counts, told in ((30.0, True), (3.0, False)):
+        push = Push(0.0, 1.5, 1.5, 900.0, 5.0, counts, 0.01)
+        result = Result("breakaway", "Breakaway", "arm")
+        _report_stiffness(result, Pushes(axis, True, {1: [push] * 2, -1: [push] * 2}))
+        assert ("stiffness1" in result.values) == told
+        assert told or "bend by 3 counts" in result.warnings[0]
+
+
+def test_a_model_says_what_each_joint_moves_in_a_pose(tmp_path: Path) -> None:
+    rigid = rigid_of(load_model(model_of(tmp_path, TWO, 2)))
+    load = load_of(rigid, np.array([0.0, 0.3]), 1, False)
+    q = np.array([[0.7, 0.3]])
+    still = np.zeros((1, 2))
+    assert load.weight(q[:, 0]) == pytest.approx(rigid(q, still, still)[:, 0], abs=1e-9)
+    # both links hang: 2 kg at 0.2 m, 1 kg at 0.4 m and 0.15 m to the side
+    straight = load_of(rigid, np.zeros(2), 1, False)
+    assert straight.sin == pytest.approx(9.81 * 0.8) and straight.cos == pytest.approx(-9.81 * 0.15)
+
+
+def test_a_circle_lies_in_the_plane_of_two_joints_and_within_their_ranges(tmp_path: Path) -> None:
+    model = load_model(model_of(tmp_path, TWO, 2))
+    plane = plane_of(model, "two")
+    assert plane.joints == (1, 2) and plane.lengths == pytest.approx((0.4, 0.3))
+    assert plane.sense == -1.0
+    axes = {j: axis_of(j, JOINT, 0.0, Load(0.1), 1.0) for j in (1, 2)}
+    known = Known("two", axes, np.zeros(2), rigid_of(model))
+    place = fitting_circle(plane, known, 0.01)
+    motion = circle_of(plane, known, place, (4.5, 0.01))
+    assert np.abs(motion.q).max() < 2.0
+    # of the file: the first link hangs at zero, turns about y; the second turns about -y
+    a, b = motion.q[:, 0], motion.q[:, 0] - motion.q[:, 1]
+    x = -0.4 * np.sin(a) + 0.3 * np.cos(b)
+    z = -0.4 * np.cos(a) - 0.3 * np.sin(b)
+    centre = 0.5 * np.array([x.max() + x.min(), z.max() + z.min()])
+    radius = np.hypot(x - centre[0], z - centre[1])
+    assert radius == pytest.approx(place.radius, rel=1e-3)
+    assert np.gradient(motion.q, 0.01, axis=0)[5:-5] == pytest.approx(motion.qd[5:-5], abs=1e-2)
+
+
+def test_a_circle_says_what_it_lacks(lift: tuple[Target, Path], tmp_path: Path) -> None:
+    rotary = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 1.0}}})
+    with pytest.raises(ModelError, match="has no links; a circle needs planar2r"):
+        plane_of(rotary, "bench.toml")
+    slide = load_model(model_of(tmp_path, LIFT, 1))
+    with pytest.raises(ModelError, match="no two neighbouring joints turn about parallel axes"):
+        plane_of(slide, "lift.toml")
+    with pytest.raises(Refused, match="needs 2 joints with a drive, and this machine has 1"):
+        circle(Lab(tmp_path, lift[0]))
+
+
+def stored(folder: Path, machine: str) -> None:
+    """Results of the experiments that a circle builds on, as if they had been made."""
+    values = {"place1": Estimate(0.0), "place2": Estimate(0.0)}
+    curves = Result("friction-curve", "Curve", machine)
+    for j, level, viscous in ((1, 1.5, 1.2), (2, 0.6, 0.3)):
+        values |= {f"level{j}": Estimate(level), f"slope{j}": Estimate(viscous)}
+        curves.effects += [
+            FoundEffect("coulomb", j, {"level": Estimate(level)}),
+            FoundEffect("viscous", j, {"coefficient": Estimate(viscous)}),
+        ]
+    low = Result("low-speed", "Low", machine, values)
+    for result in (low, curves):
+        (folder / result.name).mkdir(parents=True)
+        result.save(folder / result.name / "result.toml")
+
+
+def test_compensation_takes_the_error_of_a_circle_away_on_an_arm_with_gravity(
+    tmp_path: Path,
+) -> None:
+    model = model_of(tmp_path, TWO, 2)
+    with zendsp.local(
+        str(tmp_path / "machine.xml"), clock="fast", options=["--speed", "100"]
+    ) as target:
+        stored(tmp_path, target.info.machine)
+        found = circle(Lab(tmp_path, target, model=model), slower=())
+    for joint in (1, 2):
+        # the friction of the file is known exactly: what is left is its sign while it reverses
+        assert found.values[f"machine_improvement_joint{joint}"].value > 85.0
+        assert found.values[f"simulation_differs_without_joint{joint}"].value < 6.0
+    assert any("does not say where the tip of link 2 is" in text for text in found.warnings)
