@@ -10,7 +10,6 @@ import pytest
 
 from zendsp.errors import RecordingError
 from zendsp.experiment.any_friction import fit_line
-from zendsp.experiment.breakaway import breakaway_torque, bristle_stiffness, pushed_way
 from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.friction_curve import fit_curve
 from zendsp.experiment.motor import steady_means
@@ -22,6 +21,7 @@ from zendsp.experiment.sliding import (
     fit_friction,
 )
 from zendsp.experiment.spun_shaft import delivered, fit_parameters, pendulum_model
+from zendsp.experiment.staircase import breakaway_torque, bristle_stiffness, pushed_way
 from zendsp.physics import simulate_loop
 from zendsp.recording import Recording
 from zendsp.reference import Reference
