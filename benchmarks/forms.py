@@ -1,12 +1,16 @@
-"""The same arms given as URDF, as MJCF and as FMU: are they told the same?
+"""The same arms given as URDF, as MJCF and as FMU: what are they told?
 
     python benchmarks/forms.py FOLDER              # makes what is not there, and asks
-    python benchmarks/forms.py FOLDER --only payload2,coulomb6 --form fmu
+    python benchmarks/forms.py FOLDER --group bodies --form urdf --seed 1
+    python benchmarks/forms.py FOLDER --only payload2,coulomb6 --form fmu --fmi 3
 
-26 arms of two to seven joints, simulated by Pinocchio with a dry friction that is neither that of
-zendsp nor of MuJoCo; the FMU is C by hand. Each answer is kept in FOLDER, so an interrupted run
-goes on; then prints the table. About 25 s of one core an answer. Needs gcc, ``pip install
-'zendsp[mujoco,fmpy]' pin``.
+Two groups of arms of two to seven joints: ``forms``, 26 that lack this or that, and ``bodies``, 31
+with a payload, a wrong link, rotor or base, or a balancer that the file has not. They are simulated
+by Pinocchio with a dry friction that is neither that of zendsp nor of MuJoCo; the FMU is C by hand.
+Right is a report that names all that acts, each by a finding of its own, by its name or among what
+it cannot be told from, and nothing else. Of several causes each has to be named. Each answer is
+kept in FOLDER, so an interrupted run goes on; then prints the tables. About 20 s of one core to
+make an arm, 10 to 60 s an answer. Needs gcc, ``pip install 'zendsp[mujoco,fmpy]' pin``.
 """
 
 from __future__ import annotations
@@ -18,45 +22,86 @@ import resource
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from arms.cases import CASES, make
-from arms.written import FORMS
+from arms.cases import GROUPS, make
+from arms.told import is_right, is_true, kind, numbers_off
+
+
+class Row(NamedTuple):
+    """An answer: verdict, findings in their order, whether they are right, how many of them are
+    not what acts, how far a payload's numbers are off (``numbers_off``), seconds.
+    """
+
+    arm: str
+    form: str
+    verdict: str
+    said: str
+    right: bool
+    beyond: int
+    off: tuple[float, float, float, float] | None
+    cpu: float
 
 
 def main() -> None:
     """Make, ask, and print."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=_AsItIs)
     options.add_argument("folder", type=Path)
+    options.add_argument("--group", choices=GROUPS, default="forms")
     options.add_argument("--only", default="", help="names of arms, parted by commas")
-    options.add_argument("--form", choices=FORMS, action="append")
+    options.add_argument("--form", choices=("urdf", "mjcf", "fmu"), action="append")
+    options.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="of the FMU")
     options.add_argument("--seed", type=int, default=0, help="of other arms with the same truths")
     asked = options.parse_args()
-    names = [n for n in CASES if not asked.only or n in asked.only.split(",")]
-    for name in names:
-        if not (asked.folder / name / "truth.json").exists():
-            print(make(name, asked.folder / name, asked.seed), file=sys.stderr, flush=True)
+    names = [n for n in GROUPS[asked.group] if not asked.only or n in asked.only.split(",")]
+    forms = [
+        "fmu3" if form == "fmu" and asked.fmi == 3 else form
+        for form in asked.form or ("urdf", "mjcf", "fmu")
+    ]
     rows = []
     for name in names:
-        truth = json.loads((asked.folder / name / "truth.json").read_text())
-        for form in asked.form or FORMS:
-            rows.append([name, form, *told(answered(asked.folder / name, form), truth)])
+        folder = asked.folder / f"{name}-{asked.seed}"
+        if not (folder / "truth.json").exists():
+            print(make(name, folder, asked.seed), file=sys.stderr, flush=True)
+        truth = json.loads((folder / "truth.json").read_text())
+        for form in forms:
+            rows.append(told(name, form, answered(folder, form), truth))
             print("  ".join(map(str, rows[-1])), file=sys.stderr, flush=True)
     print("| arm | given as | verdict | findings, confidence | right | beyond the truth | CPU, s |")
     print("|---|---|---|---|---|---|---|")
     for row in rows:
-        print("| " + " | ".join(map(str, row)) + " |")
-    for form in asked.form or FORMS:
-        _, _, _, _, right, beyond, cpu = zip(*(r for r in rows if r[1] == form), strict=True)
-        print(
-            f"\n{form}: {right.count('yes')} of {len(right)} right, {sum(beyond)} names beyond the"
-            f" truth; {np.median(cpu):.0f} s of CPU, at most {max(cpu):.0f}"
-        )
+        cells = (*row[:4], "yes" if row.right else "no", row.beyond, row.cpu)
+        print("| " + " | ".join(map(str, cells)) + " |")
+    for form in forms:
+        print_rates(form, [row for row in rows if row.form == form])
 
 
 class _AsItIs(argparse.RawDescriptionHelpFormatter):
     pass
+
+
+def print_rates(form: str, rows: list[Row]) -> None:
+    """The rate of one form, by class of what is concealed."""
+    cpu = [row.cpu for row in rows]
+    print(
+        f"\n{form}: {sum(row.right for row in rows)} of {len(rows)} right,"
+        f" {sum(row.beyond for row in rows)} names beyond the truth; {np.median(cpu):.0f} s of CPU,"
+        f" at most {max(cpu):.0f}"
+    )
+    print("\n| | right | beyond | mass off, %; in ± | centre off, mm; in ± |")
+    print("|---|---|---|---|---|")
+    for one in dict.fromkeys(kind(row.arm) for row in rows):
+        of = [row for row in rows if kind(row.arm) == one]
+        off = np.abs([row.off for row in of if row.off is not None]).reshape(-1, 4)
+        cells = [f"{sum(row.right for row in of)} of {len(of)}", sum(row.beyond for row in of)]
+        for at in (0, 2) if len(off) else ():
+            value, by = off[:, at], off[:, at + 1]
+            cells.append(
+                f"{np.median(value):.1f}, at most {value.max():.1f};"
+                f" {np.median(by):.1f}, at most {by.max():.1f}"
+            )
+        print("| " + " | ".join(map(str, [one, *cells, *[""] * (4 - len(cells))])) + " |")
 
 
 def answered(folder: Path, form: str) -> dict[str, Any]:
@@ -79,39 +124,14 @@ def answered(folder: Path, form: str) -> dict[str, Any]:
     return json.loads(kept.read_text())  # type: ignore[no-any-return]
 
 
-def told(report: dict[str, Any], truth: list[str]) -> list[Any]:
-    """Verdict, findings in their order, whether they are what acts, how many of them are not, and
-    seconds.
-    """
-    findings = report["findings"]
-    names = [f"{f['effect']}@{f['joint']}" for f in findings]
-    said = [f"{n} {f['confidence']:.2f}" for n, f in zip(names, findings, strict=True)]
-    beyond = sum(not _is_true(f, truth) for f in findings)
-    right = "yes" if _is_told(report, truth) else "no"
-    return [report["verdict"], ", ".join(said) or "–", right, beyond, report["cpu"]]
-
-
-def _is_told(report: dict[str, Any], truth: list[str]) -> bool:
-    """Whether all that acts is named. Of a torque of no law it is enough that something is missing,
-    of a body inside an FMU that it says so.
-    """
-    findings = report["findings"]
-    if "foreign" in truth or not truth:
-        return bool(truth) == (report["verdict"] != "complete")
-    body = truth[0].startswith("payload") and not findings
-    if body and "a wrong body inside" in report["unexplained"]:
-        return True
-    return all(any(_is_true(f, [one]) for f in findings) for one in truth)
-
-
-def _is_true(finding: dict[str, Any], truth: list[str]) -> bool:
-    """Whether a finding, or what it cannot be told from, is what acts; beside a torque of no law,
-    one without a law.
-    """
-    if "foreign" in truth:
-        return str(finding["effect"]) == "unknown"
-    names = [finding["effect"], *finding["indistinguishable"]]
-    return any(f"{name}@{finding['joint']}" in truth for name in names)
+def told(name: str, form: str, report: dict[str, Any], truth: dict[str, Any]) -> Row:
+    """What a report says, and whether it is right."""
+    findings, acts = report["findings"], truth["truth"]
+    said = ", ".join(f"{f['effect']}@{f['joint']} {f['confidence']:.2f}" for f in findings) or "–"
+    beyond = sum(not is_true(f, acts) for f in findings)
+    off = numbers_off(report, acts, truth["numbers"])
+    right = is_right(report, acts)
+    return Row(name, form, report["verdict"], said, right, beyond, off, report["cpu"])
 
 
 if __name__ == "__main__":

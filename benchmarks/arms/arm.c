@@ -1,8 +1,7 @@
-// A chain of revolute joints by recursive Newton-Euler, as a co-simulation FMU 2.0.
+// A chain of revolute joints by recursive Newton-Euler; fmi2.c and fmi3.c make it an FMU.
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include "fmi2Functions.h"
 #include "numbers.h"  // N, FRICTION, START, AXIS, PLACE, COM, INERTIA, GRAVITY
 
 #define API __attribute__((visibility("default")))
@@ -148,36 +147,15 @@ static void advance(double *p, double seconds) {
     }
 }
 
-API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid,
-                                  fmi2String resources, const fmi2CallbackFunctions *callbacks,
-                                  fmi2Boolean visible, fmi2Boolean logging) {
-    chain *c = calloc(1, sizeof *c);
-    memcpy(c->v + MASS, START, sizeof START);
-    return c;
-}
-API void fmi2FreeInstance(fmi2Component c) { free(c); }
-API fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real d,
-                                   fmi2Boolean e, fmi2Real f) {
-    return fmi2OK;
-}
-API fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
-API fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return fmi2OK; }
-API fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
-API fmi2Status fmi2Reset(fmi2Component c) {
+static void begin(chain *c) {
     memset(c, 0, MASS * sizeof(double));
-    memcpy(((chain *)c)->v + MASS, START, sizeof START);
-    return fmi2OK;
+    memcpy(c->v + MASS, START, sizeof START);
 }
-API fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n,
-                           const fmi2Real x[]) {
-    for (size_t i = 0; i < n; i++) ((chain *)c)->v[r[i]] = x[i];
-    return fmi2OK;
+
+static void set(chain *c, const unsigned r[], size_t n, const double x[]) {
+    for (size_t i = 0; i < n; i++) c->v[r[i]] = x[i];
 }
-API fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real x[]) {
-    for (size_t i = 0; i < n; i++) x[i] = ((chain *)c)->v[r[i]];
-    return fmi2OK;
-}
-API fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean keep) {
-    advance(((chain *)c)->v, h);
-    return fmi2OK;
+
+static void get(const chain *c, const unsigned r[], size_t n, double x[]) {
+    for (size_t i = 0; i < n; i++) x[i] = c->v[r[i]];
 }

@@ -1,4 +1,4 @@
-"""What is concealed from the given models: 26 arms, each with its truth."""
+"""What is concealed from the given models, each arm with its truth, in two groups."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from arms.arm import Arm, about, another, make_arm
-from arms.reality import Added, Laboratory, Spring, Stribeck, Wave, bodies, record
+from arms.reality import Added, Laboratory, Payload, Spring, Stribeck, Wave, bodies, record
 from arms.written import write_forms
 
 Array = npt.NDArray[np.float64]
+COM = ("com_x", "com_y", "com_z")
 Without = Mapping[str, tuple[int, ...]]  # friction that is not given, by joint from 0
 
 LABORATORIES = {
@@ -33,13 +34,18 @@ class Case:
     Attributes
     ----------
     truth : tuple of str
-        ``effect@joint``; ``foreign`` where no effect of the library acts.
+        ``effect@joint``, or several in ``|`` that are one thing; ``foreign`` where no effect of the
+        library acts.
     without : dict
         Friction that is not given, by joint (from 0).
     added : callable
         What the arm has beside what is given: a function of the true arm.
     inside : str
         Where its FMU has dry friction.
+    wrong : callable
+        The arm as its file has it: a function of the true arm and of what is drawn.
+    stated : str
+        A further ``[[effect]]`` of the model file.
     """
 
     joints: int
@@ -47,6 +53,8 @@ class Case:
     without: Without | None = None
     added: Callable[[Arm], Added] = lambda arm: Added()
     inside: str = "none"
+    wrong: Callable[[Arm, np.random.Generator], Arm] = lambda arm, rng: arm
+    stated: str = ""
 
 
 def _spring(joint: int, hz: float, gap: float = 0.0) -> Callable[[Arm], Added]:
@@ -100,8 +108,65 @@ def _swirl(joint: int) -> Callable[[Arm], Added]:
     return lambda arm: Added(torque=partial(torque, 0.5 * float(arm.coulomb[joint])))
 
 
-def _payload(kg: float, where: tuple[float, float, float]) -> Callable[[Arm], Added]:
-    return lambda arm: Added(payload=(kg, where))
+def _payload(
+    kg: float, where: tuple[float, float, float], link: int = -1, radius: float = 0.05
+) -> Callable[[Arm], Added]:
+    return lambda arm: Added(payload=Payload(kg, where, link, radius))
+
+
+def _tilt(about_x: float, about_y: float) -> Callable[[Arm], Added]:
+    return lambda arm: Added(tilt=(about_x, about_y))
+
+
+def _torsion(joint: int, stiffness: float) -> Callable[[Arm], Added]:
+    """A balancer by a torsion spring: N m/rad, about the joint's zero."""
+
+    def torque(t: float, q: Array, qd: Array) -> Array:
+        return -stiffness * q * (np.arange(len(q)) == joint)
+
+    return lambda arm: Added(torque=torque)
+
+
+def _gas_spring(joint: int) -> Callable[[Arm], Added]:
+    """A balancer by a spring from a point 0.25 m above the joint to one of the link, 0.1 m from it:
+    300 N, and 2 N more a mm.
+    """
+
+    def torque(t: float, q: Array, qd: Array) -> Array:
+        length = np.sqrt(0.0725 - 0.05 * np.cos(q[joint]))
+        lever = 0.025 * np.sin(q[joint]) / length
+        return -(300.0 + 2000.0 * (length - 0.15)) * lever * (np.arange(len(q)) == joint)
+
+    return lambda arm: Added(torque=torque)
+
+
+def _mass(link: int) -> Callable[[Arm, np.random.Generator], Arm]:
+    """A link that is 10 % lighter or heavier in the file, as by another density."""
+
+    def wrong(arm: Arm, rng: np.random.Generator) -> Arm:
+        by = np.where(np.arange(arm.n) == link, rng.choice((0.9, 1.1)), 1.0)
+        return replace(arm, mass=by * arm.mass, inertia=by[:, None] * arm.inertia)
+
+    return wrong
+
+
+def _centre(link: int) -> Callable[[Arm, np.random.Generator], Arm]:
+    """A link whose centre of mass is 30 mm off in the file, across its joint's axis."""
+
+    def wrong(arm: Arm, rng: np.random.Generator) -> Arm:
+        way = rng.standard_normal(3) * (1.0 - arm.axis[link])
+        com = arm.com.copy()
+        com[link] += 0.03 * way / np.linalg.norm(way)
+        return replace(arm, com=com)
+
+    return wrong
+
+
+def _rotor(joint: int, given: float) -> Callable[[Arm, np.random.Generator], Arm]:
+    """A rotor of which the file has a part."""
+    return lambda arm, rng: replace(
+        arm, rotor=arm.rotor * np.where(np.arange(arm.n) == joint, given, 1.0)
+    )
 
 
 def _wave(joint: int, order: float, amplitude: float) -> Callable[[Arm], Added]:
@@ -121,7 +186,7 @@ def _all(effect: str, joints: int) -> tuple[tuple[str, ...], Without]:
     return tuple(f"{effect}@{j + 1}" for j in every), {effect: every}
 
 
-CASES: dict[str, Case] = {
+FORMS_TOLD: dict[str, Case] = {
     "complete2": Case(2),
     "complete2s": Case(2, inside="sticks"),
     "complete3": Case(3, inside="smooth"),
@@ -151,11 +216,67 @@ CASES: dict[str, Case] = {
 }
 
 
+def _carries(
+    joints: int, kg: float, where: tuple[float, float, float], radius: float = 0.05
+) -> Case:
+    """A payload at the tool, all else as it is given."""
+    return Case(joints, (f"payload@{joints}",), added=_payload(kg, where, radius=radius))
+
+
+def _carries_with_friction(joints: int, kg: float, where: tuple[float, float, float]) -> Case:
+    """The same, and all dry friction is left out."""
+    friction, without = _all("coulomb", joints)
+    return Case(joints, (f"payload@{joints}", *friction), without, added=_payload(kg, where))
+
+
+TWO_DEG = float(np.deg2rad(2.0))
+STATED = (
+    '\n[[effect]]\nkind = "stiffness"\njoint = 2\ncoefficient = { value = 15.0, free = false }\n'
+)
+
+BODIES: dict[str, Case] = {
+    "payload2a": _carries(2, 0.5, (0.0, 0.0, -0.3)),
+    "payload2b": _carries(2, 1.5, (0.05, 0.02, -0.25)),
+    "payload2c": _carries_with_friction(2, 1.0, (0.0, 0.0, -0.28)),
+    "payload3": _carries(3, 1.5, (0.04, 0.03, 0.25)),
+    "payload6a": _carries(6, 0.5, (0.0, 0.0, 0.1), 0.03),
+    "payload6b": _carries(6, 2.0, (0.03, -0.05, 0.08)),
+    "payload6c": _carries(6, 5.0, (0.0, 0.04, 0.15), 0.08),
+    "payload6d": _carries_with_friction(6, 1.5, (0.02, 0.0, 0.06)),
+    "payload7a": _carries(7, 0.5, (0.0, 0.02, 0.08), 0.03),
+    "payload7b": _carries(7, 2.5, (-0.04, 0.0, 0.12)),
+    "payload7c": _carries(7, 5.0, (0.0, 0.0, 0.1), 0.08),
+    "payload7d": _carries_with_friction(7, 1.5, (0.0, 0.03, 0.1)),
+    "mass2": Case(2, ("body@2",), wrong=_mass(1)),
+    "mass3": Case(3, ("body@2",), wrong=_mass(1)),
+    "mass6": Case(6, ("body@2",), wrong=_mass(1)),
+    "mass7": Case(7, ("body@4",), wrong=_mass(3)),
+    "centre2": Case(2, ("body@2",), wrong=_centre(1)),
+    "centre3": Case(3, ("body@3",), wrong=_centre(2)),
+    "centre6": Case(6, ("body@3",), wrong=_centre(2)),
+    "centre7": Case(7, ("body@4",), wrong=_centre(3)),
+    "rotor2": Case(2, ("inertia@1",), wrong=_rotor(0, 0.5)),
+    "rotor6": Case(6, ("inertia@3",), wrong=_rotor(2, 0.7)),
+    "rotor7": Case(7, ("inertia@2",), wrong=_rotor(1, 0.0)),
+    "balancer3": Case(3, ("stiffness@2",), added=_torsion(1, 7.0)),
+    "balancer6a": Case(6, ("position_torque@2",), added=_gas_spring(1)),
+    "balancer6b": Case(6, ("payload@2|body@2",), added=_payload(4.0, (0.0, 0.0, -0.2), 1)),
+    "balancer6c": Case(6, ("stiffness@2",), added=_torsion(1, 40.0), stated=STATED),
+    "tilt2": Case(2, ("base_tilt@1",), added=_tilt(0.0, TWO_DEG)),
+    "tilt3": Case(3, ("base_tilt@1",), added=_tilt(TWO_DEG, 0.0)),
+    "tilt6": Case(6, ("base_tilt@1",), added=_tilt(-0.6 * TWO_DEG, 0.8 * TWO_DEG)),
+    "tilt7": Case(7, ("base_tilt@1",), added=_tilt(0.0, -TWO_DEG)),
+}
+GROUPS = {"forms": FORMS_TOLD, "bodies": BODIES}
+CASES = FORMS_TOLD | BODIES
+
+
 def make(name: str, folder: Path, seed: int = 0) -> str:
     """Write a case, and give a line on how well it was controlled. ``seed``: of arms of other
     proportions that move otherwise, with more or less of what is concealed.
     """
-    case, lab, size = CASES[name], LABORATORIES[CASES[name].joints], 1.0
+    case, size = CASES[name], 1.0
+    lab = LABORATORIES[case.joints]
     rng = np.random.default_rng([*name.encode(), *([seed] if seed else [])])
     true = make_arm(case.joints, rng)
     if seed:
@@ -167,14 +288,19 @@ def make(name: str, folder: Path, seed: int = 0) -> str:
         * [j not in lacks.get(key, ()) for j in range(case.joints)]
         for key in ("rotor", "viscous", "coulomb")
     }
-    given = replace(true, **known)
+    given = case.wrong(replace(true, **known), rng)
+    added = case.added(true).times(size)
     folder.mkdir(parents=True, exist_ok=True)
-    write_forms(folder, given, case.inside, lab.sample_time, lab.count)
+    write_forms(folder, given, case.inside, lab.sample_time, lab.count, case.stated)
     off = []
     for which in ("fit", "heldout"):
-        runs = record(true, given, case.added(true).times(size), lab, int(rng.integers(2**31)))
+        runs = record(true, given, added, lab, int(rng.integers(2**31)))
         np.savez(folder / f"{which}.npz", **runs)
         off.append(np.sqrt(np.mean((runs["q"] - runs["r"]) ** 2, axis=0)))
-    (folder / "truth.json").write_text(json.dumps(list(case.truth)))
+    numbers = {}
+    if added.payload is not None:
+        numbers = dict(zip(("mass", *COM), (added.payload.kg, *added.payload.where), strict=True))
+    truth = {"truth": case.truth, "numbers": numbers}
+    (folder / "truth.json").write_text(json.dumps(truth))
     assert bodies(true).nq == case.joints
     return f"{name}: off its reference by {np.round(1e3 * np.mean(off, axis=0), 1)} mrad"

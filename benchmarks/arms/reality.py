@@ -52,6 +52,19 @@ class Stribeck:
     velocity: float  # rad/s
 
 
+LEAST, MOST = 0.5, 5.0  # kg, of a payload
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A ball that a link carries."""
+
+    kg: float
+    where: tuple[float, float, float]  # m, of its centre in the link's frame
+    link: int = -1  # from 0; -1: the last
+    radius: float = 0.05  # m
+
+
 @dataclass(frozen=True)
 class Added:
     """What an arm has beside its bodies, rotors, viscous and dry friction."""
@@ -59,7 +72,8 @@ class Added:
     spring: Spring | None = None
     wave: Wave | None = None
     stribeck: Stribeck | None = None
-    payload: tuple[float, tuple[float, float, float]] | None = None  # kg; m, of the last link
+    payload: Payload | None = None
+    tilt: tuple[float, float] = (0.0, 0.0)  # rad, of gravity about x, then y of the base
     gain: Array | None = None
     offset: Array | None = None
     torque: Torque | None = None
@@ -73,8 +87,8 @@ class Added:
             out = replace(out, wave=replace(w, amplitude=size * w.amplitude))
         if (f := self.stribeck) is not None:
             out = replace(out, stribeck=replace(f, more=size * f.more))
-        if self.payload is not None:
-            out = replace(out, payload=(size * self.payload[0], self.payload[1]))
+        if (p := self.payload) is not None:
+            out = replace(out, payload=replace(p, kg=float(np.clip(size * p.kg, LEAST, MOST))))
         if self.gain is not None:
             out = replace(out, gain=1.0 + size * (self.gain - 1.0))
         if self.offset is not None:
@@ -84,10 +98,14 @@ class Added:
         return out
 
 
-def bodies(arm: Arm, payload: tuple[float, tuple[float, float, float]] | None = None) -> pin.Model:
-    """The links of an arm, without rotors."""
-    model = pin.Model()
-    model.gravity.linear = np.array(GRAVITY)
+NOTHING = Added()
+
+
+def bodies(arm: Arm, added: Added = NOTHING) -> pin.Model:
+    """The links of an arm and what they carry, without rotors."""
+    model, payload = pin.Model(), added.payload
+    about_x, about_y = (pin.utils.rotate(k, a) for k, a in zip("xy", added.tilt, strict=True))
+    model.gravity.linear = about_y @ about_x @ np.array(GRAVITY)
     parent = 0
     for k in range(arm.n):
         axis = pin.JointModelRevoluteUnaligned(arm.axis[k])
@@ -95,9 +113,9 @@ def bodies(arm: Arm, payload: tuple[float, tuple[float, float, float]] | None = 
         link = pin.Inertia(arm.mass[k], arm.com[k], np.diag(arm.inertia[k]))
         model.appendBodyToJoint(parent, link, pin.SE3.Identity())
     if payload is not None:
-        kg, where = payload
-        body = pin.Inertia(kg, np.array(where), 0.001 * kg * np.eye(3))
-        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+        own = 0.4 * payload.kg * payload.radius**2 * np.eye(3)
+        body = pin.Inertia(payload.kg, np.array(payload.where), own)
+        model.appendBodyToJoint(payload.link % arm.n + 1, body, pin.SE3.Identity())
     return model
 
 
@@ -106,7 +124,7 @@ class Reality:
 
     def __init__(self, arm: Arm, added: Added) -> None:
         self.arm, self.added = arm, added
-        self.model = bodies(arm, added.payload)
+        self.model = bodies(arm, added)
         self.data = self.model.createData()
         n = arm.n
         size = n + (added.spring is not None)

@@ -7,7 +7,8 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import fmpy
@@ -18,15 +19,15 @@ from arms.arm import GRAVITY, Arm
 
 Array = npt.NDArray[np.float64]
 
-FORMS = ("urdf", "mjcf", "fmu")
+FORMS = ("urdf", "mjcf", "fmu", "fmu3")  # fmu3: an FMU 3.0
 INSIDE = ("none", "sticks", "smooth")  # the dry friction of an FMU
-SOURCE = Path(__file__).with_name("arm.c")
+SOURCES = Path(__file__).parent
 
 
 def write_forms(
-    folder: Path, arm: Arm, inside: str, sample_time: float, count: float
+    folder: Path, arm: Arm, inside: str, sample_time: float, count: float, stated: str = ""
 ) -> None:
-    """Write ``arm.urdf``, ``arm.xml``, ``arm.fmu`` and a model file for each.
+    """Write ``arm.urdf``, ``arm.xml``, ``arm.fmu``, ``arm3.fmu`` and a model file for each.
 
     Parameters
     ----------
@@ -34,22 +35,28 @@ def write_forms(
         As it is given; friction of 0 is friction that the model has not.
     inside : str
         Where an FMU has the dry friction, one of ``INSIDE``; ``none``: as ``[[effect]]``.
+    stated : str
+        A further ``[[effect]]``.
     """
     if not arm.coulomb.any():
         inside = "none"
     (folder / "arm.urdf").write_text(_urdf(arm))
     (folder / "arm.xml").write_text(_mjcf(arm))
-    _fmu(arm, folder / "arm.fmu", inside)
+    _fmu(arm, folder / "arm.fmu", inside, 2)
+    _fmu(arm, folder / "arm3.fmu", inside, 3)
     heads = {
         "urdf": 'kind = "urdf"\nfile = "arm.urdf"\n',
         "mjcf": 'kind = "mjcf"\nfile = "arm.xml"\n',
-        "fmu": _fmu_head(arm, inside),
+        "fmu": _fmu_head(arm, inside, "arm.fmu"),
+        "fmu3": _fmu_head(arm, inside, "arm3.fmu"),
     }
     friction = {"coulomb": ("level", arm.coulomb), "viscous": ("coefficient", arm.viscous)}
+    outside = {"coulomb": friction["coulomb"]} if inside == "none" else {}
     effects = {
         "urdf": {"inertia": ("amount", arm.rotor), **friction},
         "mjcf": {},
-        "fmu": {"coulomb": friction["coulomb"]} if inside == "none" else {},
+        "fmu": outside,
+        "fmu3": outside,
     }
     for form in FORMS:
         text = f'name = "arm"\nsample_time = {sample_time}\n\n[mechanism]\n{heads[form]}'
@@ -58,6 +65,7 @@ def write_forms(
                 if value:
                     text += f'\n[[effect]]\nkind = "{kind}"\njoint = {j}\n'
                     text += f"{key} = {float(value)!r}\n"
+        text += stated
         text += f"\n[actuator]\ngain = {{ value = 1.0, free = false }}\nhold = {sample_time}\n"
         text += f"\n[sensor]\nposition_resolution = {count!r}\n"
         text += '\n[columns]\ntime = "t"\nposition = "q"\ncommand = "u"\nreference = "r"\n'
@@ -107,12 +115,12 @@ def _parameters(arm: Arm, inside: str) -> Mapping[str, Array]:
     return {"m": arm.mass, "J": arm.rotor, "b": arm.viscous, "Fc": dry}
 
 
-def _fmu_head(arm: Arm, inside: str) -> str:
+def _fmu_head(arm: Arm, inside: str, file: str) -> str:
     def each(name: str) -> str:
         return "[" + ", ".join(f'"{name}{j + 1}"' for j in range(arm.n)) + "]"
 
     rows = [
-        'kind = "fmu"\nfile = "arm.fmu"',
+        f'kind = "fmu"\nfile = "{file}"',
         f"inputs = {each('u')}\noutputs = {each('q')}",
         f"start_position = {each('q')}\nstart_velocity = {each('v')}",
         "[mechanism.parameters]",
@@ -125,12 +133,13 @@ def _fmu_head(arm: Arm, inside: str) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _fmu(arm: Arm, path: Path, inside: str) -> None:
+def _fmu(arm: Arm, path: Path, inside: str, version: int) -> None:
     folder = Path(tempfile.mkdtemp())
     library = folder / "arm.so"
     headers = Path(fmpy.__file__).parent / "c-code"
-    source = SOURCE.read_text()
-    named = re.findall(r"\b(fmi2\w+);", (headers / "fmi2Functions.h").read_text())
+    source = (SOURCES / f"fmi{version}.c").read_text()
+    every = (headers / f"fmi{version}Functions.h").read_text()
+    named = re.findall(rf"\b(fmi{version}\w+);", every)
     rest = [name for name in dict.fromkeys(named) if f" {name}(" not in source]
     (folder / "rest.c").write_text("".join(f"int {name}(void) {{ return 3; }}\n" for name in rest))
     start = np.concatenate(list(_parameters(arm, inside).values()))
@@ -145,10 +154,12 @@ def _fmu(arm: Arm, path: Path, inside: str) -> None:
         )
     )  # fmt: skip
     command = ["gcc", "-shared", "-fPIC", "-O2", "-w", f"-I{headers}", f"-I{folder}", "-o"]
-    subprocess.run([*command, library, SOURCE, folder / "rest.c", "-lm"], check=True)
+    main = SOURCES / f"fmi{version}.c"
+    subprocess.run([*command, library, main, folder / "rest.c", "-lm"], check=True)
+    platform = fmpy.platform if version == 2 else fmpy.platform_tuple
     with zipfile.ZipFile(path, "w") as z:
-        z.writestr("modelDescription.xml", _description(arm, start))
-        z.write(library, f"binaries/{fmpy.platform}/arm.so")
+        z.writestr("modelDescription.xml", _DESCRIPTIONS[version](_variables(arm, start)))
+        z.write(library, f"binaries/{platform}/arm.so")
     shutil.rmtree(folder)
 
 
@@ -156,24 +167,73 @@ def _row(values: Iterable[float]) -> str:
     return ", ".join(repr(float(x)) for x in values)
 
 
-def _description(arm: Arm, start: Array) -> str:
+@dataclass(frozen=True)
+class _Variable:
+    """A number of an FMU, as its description lists it."""
+
+    name: str
+    causality: str
+    variability: str
+    start: float
+
+    @property
+    def begins(self) -> str:
+        """That its start value is exact, but of an input."""
+        return "" if self.causality == "input" else ' initial="exact"'
+
+
+def _variables(arm: Arm, start: Array) -> list[_Variable]:
+    """The variables in the order of their value references."""
     roles = {"u": "input", "q": "output", "v": "local"} | dict.fromkeys(
         ("m", "J", "b", "Fc"), "parameter"
     )
     begins = np.r_[np.zeros(3 * arm.n), start].reshape(-1, arm.n)
-    rows = []
-    for (name, role), values in zip(roles.items(), begins, strict=True):
-        changes = "tunable" if role == "parameter" else "continuous"
-        begin = "" if role == "input" else ' initial="exact"'
-        for j, value in enumerate(values, 1):
-            rows.append(
-                f'<ScalarVariable name="{name}{j}" valueReference="{len(rows)}" causality="{role}"'
-                f' variability="{changes}"{begin}><Real start="{float(value)!r}"/></ScalarVariable>'
-            )
-    outputs = "".join(f'<Unknown index="{arm.n + j + 1}"/>' for j in range(arm.n))
+    return [
+        _Variable(
+            f"{name}{j}", role, "tunable" if role == "parameter" else "continuous", float(value)
+        )
+        for (name, role), values in zip(roles.items(), begins, strict=True)
+        for j, value in enumerate(values, 1)
+    ]
+
+
+def _fmi2(variables: Sequence[_Variable]) -> str:
+    rows = "".join(
+        f'<ScalarVariable name="{v.name}" valueReference="{k}" causality="{v.causality}"'
+        f' variability="{v.variability}"{v.begins}><Real start="{v.start!r}"/></ScalarVariable>'
+        for k, v in enumerate(variables)
+    )
+    outputs = "".join(
+        f'<Unknown index="{k}"/>' for k, v in enumerate(variables, 1) if v.causality == "output"
+    )
     return (
         '<?xml version="1.0"?>\n<fmiModelDescription fmiVersion="2.0" modelName="arm" guid="arm">'
         '<CoSimulation modelIdentifier="arm" canHandleVariableCommunicationStepSize="true"/>'
-        f"<ModelVariables>{''.join(rows)}</ModelVariables><ModelStructure><Outputs>{outputs}"
+        f"<ModelVariables>{rows}</ModelVariables><ModelStructure><Outputs>{outputs}"
         "</Outputs></ModelStructure></fmiModelDescription>"
     )
+
+
+def _fmi3(variables: Sequence[_Variable]) -> str:
+    rows = "".join(
+        f'<Float64 name="{v.name}" valueReference="{k}" causality="{v.causality}"'
+        f' variability="{v.variability}"{v.begins} start="{v.start!r}"/>'
+        for k, v in enumerate(variables)
+    )
+    outputs = "".join(
+        f'<Output valueReference="{k}"/>'
+        for k, v in enumerate(variables)
+        if v.causality == "output"
+    )
+    return (
+        '<?xml version="1.0"?>\n<fmiModelDescription fmiVersion="3.0" modelName="arm"'
+        ' instantiationToken="arm"><CoSimulation modelIdentifier="arm"'
+        ' canHandleVariableCommunicationStepSize="true"/>'
+        f'<ModelVariables>{rows}<Float64 name="time" valueReference="{len(variables)}"'
+        ' causality="independent" variability="continuous"/></ModelVariables>'
+        f"<ModelStructure>{outputs}</ModelStructure>"
+        "</fmiModelDescription>"
+    )
+
+
+_DESCRIPTIONS = {2: _fmi2, 3: _fmi3}
