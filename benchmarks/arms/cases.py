@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arms.arm import Arm, about, another, make_arm
-from arms.reality import Added, Laboratory, Payload, Spring, Stribeck, Wave, bodies, record
+from arms.reality import Added, Laboratory, Payload, Rough, Spring, Stribeck, Wave, bodies, record
 from arms.written import write_forms
 
 Array = npt.NDArray[np.float64]
@@ -46,6 +46,8 @@ class Case:
         The arm as its file has it: a function of the true arm and of what is drawn.
     stated : str
         A further ``[[effect]]`` of the model file.
+    rough : bool
+        Whether friction is no straight line, and its file has the line through it.
     """
 
     joints: int
@@ -55,6 +57,7 @@ class Case:
     inside: str = "none"
     wrong: Callable[[Arm, np.random.Generator], Arm] = lambda arm, rng: arm
     stated: str = ""
+    rough: bool = False
 
 
 def _spring(joint: int, hz: float, gap: float = 0.0) -> Callable[[Arm], Added]:
@@ -267,8 +270,25 @@ BODIES: dict[str, Case] = {
     "tilt6": Case(6, ("base_tilt@1",), added=_tilt(-0.6 * TWO_DEG, 0.8 * TWO_DEG)),
     "tilt7": Case(7, ("base_tilt@1",), added=_tilt(0.0, -TWO_DEG)),
 }
-GROUPS = {"forms": FORMS_TOLD, "bodies": BODIES}
-CASES = FORMS_TOLD | BODIES
+
+
+def _rough(case: Case) -> Case:
+    """The same with real friction: what is left out of it may have any law."""
+    return replace(case, rough=True, truth=tuple(x.replace("coulomb", DRY) for x in case.truth))
+
+
+DRY, FLUID = "dry_friction", "fluid_friction"
+ROUGH = {
+    f"{name}r": _rough((FORMS_TOLD | BODIES)[name])
+    for name in (
+        "complete3", "complete6",
+        "payload2a", "payload2c", "payload3", "payload6a", "payload6b", "payload6d", "payload7b",
+        "mass2", "mass6", "centre3", "centre6", "rotor6", "balancer3", "balancer6a", "tilt3",
+        "tilt6",
+    )
+}  # fmt: skip
+GROUPS = {"forms": FORMS_TOLD, "bodies": BODIES, "rough": ROUGH}
+CASES = FORMS_TOLD | BODIES | ROUGH
 
 
 def make(name: str, folder: Path, seed: int = 0) -> str:
@@ -283,13 +303,15 @@ def make(name: str, folder: Path, seed: int = 0) -> str:
         true, (size, speed) = another(true, rng), rng.uniform((0.6, 0.7), (1.6, 1.3))
         lab = replace(lab, fastest=speed * lab.fastest)
     lacks = case.without or {}
+    rough = Rough() if case.rough else None
+    line = true if rough is None else rough.line(true)
     known = {
-        key: about(getattr(true, key), rng)
+        key: about(getattr(line, key), rng)
         * [j not in lacks.get(key, ()) for j in range(case.joints)]
         for key in ("rotor", "viscous", "coulomb")
     }
     given = case.wrong(replace(true, **known), rng)
-    added = case.added(true).times(size)
+    added = replace(case.added(true).times(size), rough=rough)
     folder.mkdir(parents=True, exist_ok=True)
     write_forms(folder, given, case.inside, lab.sample_time, lab.count, case.stated)
     off = []
@@ -300,7 +322,8 @@ def make(name: str, folder: Path, seed: int = 0) -> str:
     numbers = {}
     if added.payload is not None:
         numbers = dict(zip(("mass", *COM), (added.payload.kg, *added.payload.where), strict=True))
-    truth = {"truth": case.truth, "numbers": numbers}
+    also = (DRY, FLUID) if case.rough else ()
+    truth = {"truth": case.truth, "numbers": numbers, "also": also}
     (folder / "truth.json").write_text(json.dumps(truth))
     assert bodies(true).nq == case.joints
     return f"{name}: off its reference by {np.round(1e3 * np.mean(off, axis=0), 1)} mrad"

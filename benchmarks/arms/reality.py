@@ -56,6 +56,34 @@ LEAST, MOST = 0.5, 5.0  # kg, of a payload
 
 
 @dataclass(frozen=True)
+class Rough:
+    """What real friction has beside a straight line over the speed, in every joint."""
+
+    more: float = 0.3  # of the dry friction, at rest
+    velocity: float = 0.05  # rad/s, at which that falls
+    power: float = 0.7  # of the speed, of the viscous friction
+    load: float = 0.02  # of what the bodies ask of the joint
+
+    def level(self, coulomb: Array, w: Array, borne: Array) -> Array:
+        """N m, of the dry friction."""
+        fall = np.exp(-((w / self.velocity) ** 2))
+        return coulomb * (1.0 + self.more * fall) + self.load * np.abs(borne)
+
+    def fluid(self, viscous: Array, w: Array) -> Array:
+        """N m, of the rest."""
+        return viscous * np.sign(w) * np.abs(w) ** self.power
+
+    def line(self, arm: Arm) -> Arm:
+        """The arm with the straight line through its friction from 0.02 to 1.5 rad/s, without
+        load.
+        """
+        w = np.linspace(0.02, 1.5, 75)[:, None] * np.ones(arm.n)
+        curve = self.level(arm.coulomb, w, np.zeros(arm.n)) + self.fluid(arm.viscous, w)
+        slope, level = np.polyfit(w[:, 0], curve, 1)
+        return replace(arm, coulomb=level, viscous=slope)
+
+
+@dataclass(frozen=True)
 class Payload:
     """A ball that a link carries."""
 
@@ -73,6 +101,7 @@ class Added:
     wave: Wave | None = None
     stribeck: Stribeck | None = None
     payload: Payload | None = None
+    rough: Rough | None = None
     tilt: tuple[float, float] = (0.0, 0.0)  # rad, of gravity about x, then y of the base
     gain: Array | None = None
     offset: Array | None = None
@@ -168,11 +197,17 @@ class Reality:
         beyond = twist - np.clip(twist, -spring.gap / 2, spring.gap / 2)
         return float(spring.stiffness * beyond + (spring.damping * speed if beyond else 0.0))
 
-    def _limits(self, w: Array) -> Array:
+    def _limits(self, w: Array, borne: Array) -> Array:
         level = self.arm.coulomb.copy()
+        if (rough := self.added.rough) is not None:
+            level = rough.level(level, w, borne)
         if (s := self.added.stribeck) is not None:
             level[s.joint] += s.more * np.exp(-((w[s.joint] / s.velocity) ** 2))
         return level
+
+    def _fluid(self, w: Array) -> Array:
+        rough = self.added.rough
+        return self.arm.viscous * w if rough is None else rough.fluid(self.arm.viscous, w)
 
     def advance(self, u: Array, seconds: float) -> None:
         """Move on under a command that is held."""
@@ -185,7 +220,8 @@ class Reality:
             mass = pin.crba(self.model, self.data, q)
             mass = by.T @ (np.triu(mass) + np.triu(mass, 1).T) @ by + self.own
             torque = -(by.T @ pin.rnea(self.model, self.data, q, by @ w, rest))
-            torque[:n] += drive - self.arm.viscous * w[:n]
+            limit = STEP * self._limits(w[:n], torque[:n])
+            torque[:n] += drive - self._fluid(w[:n])
             if added.torque is not None:
                 torque[:n] += added.torque(self.time + 0.5 * STEP, q, by @ w)
             if (spring := added.spring) is not None:
@@ -193,7 +229,7 @@ class Reality:
                 torque[spring.joint] -= through
                 torque[-1] += through
             gives = np.linalg.inv(mass)
-            speed = self._rubbed(self.w + STEP * (gives @ torque), gives, STEP * self._limits(w))
+            speed = self._rubbed(self.w + STEP * (gives @ torque), gives, limit)
             self.z = self.z + 0.5 * STEP * (self.w + speed)
             self.a, self.w = (speed - self.w) / STEP, speed
             self.time += STEP

@@ -23,19 +23,23 @@ def is_true(finding: Mapping[str, Any], truth: Sequence[str]) -> bool:
     return any(names & set(one.split("|")) for one in truth)
 
 
-def is_right(report: Mapping[str, Any], truth: Sequence[str]) -> bool:
-    """Whether all that acts is named, each by a finding of its own, and nothing else. Of a torque
-    of no law it is enough that something is missing, of a body inside an FMU that it says so.
+def is_right(report: Mapping[str, Any], truth: Sequence[str], also: Sequence[str] = ()) -> bool:
+    """Whether all that acts is named, each by a finding of its own, and nothing else; mechanisms in
+    ``also`` act too, and need not be named. Of a torque of no law it is enough that something is
+    missing, of a body inside an FMU that it says so.
     """
     findings = report["findings"]
-    if any(not is_true(f, truth) for f in findings):
+    others = [f for f in findings if f["mechanism"] not in also]
+    if any(not is_true(f, truth) for f in others):
         return False
-    if "foreign" in truth or not truth:
-        return bool(truth) == (report["verdict"] != "complete")
+    if not truth:
+        return report["verdict"] == "complete" or bool(also)
+    if "foreign" in truth:
+        return report["verdict"] != "complete"
     inside = "a wrong body inside" in str(report["unexplained"])
     missed = [one for one in truth if not any(is_true(f, [one]) for f in findings)]
     hidden = [one for one in missed if inside and one.startswith(BODIES)]
-    return missed == hidden and len(findings) <= len(truth) - len(missed)
+    return missed == hidden and len(others) <= len(truth) - len(missed)
 
 
 def numbers_off(
