@@ -285,6 +285,30 @@ def test_pushes_are_asked_for_beside_the_likeliest_law_and_with_the_numbers_of_t
     assert beside == models
 
 
+@pytest.mark.parametrize(("joints", "told"), [(1, True), (6, False)])
+def test_of_several_joints_what_held_out_recordings_alone_lack_is_no_push_beside_friction(
+    joints: int, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a tilted base two of six joints with a friction that falls with the speed had been
+    pushed, each at one slow passage of the held-out recording, or beside a drag that was wrong
+    there.
+    """
+    push = Bursts(((1.0, 2.0),), ("held",), 0.9, 0.2, 0.1, 0.0, 1.0, 1.0, (1.0,), 0.95)
+    size = Size(0.1, 0.1, 0.1)
+    model: Any = SimpleNamespace(model="drag")
+    monkeypatch.setattr(pushes, "lost", lambda *_: False)
+    monkeypatch.setattr(pushes, "of_the_motion", lambda *_: False)
+    monkeypatch.setattr(pushes, "discrepancy", lambda *_: size)
+    monkeypatch.setattr(pushes, "fitted_to", lambda *_: model)
+    monkeypatch.setattr(pushes, "in_held", lambda *_: push)
+    monkeypatch.setattr(pushes, "in_fit", lambda *_: None)
+    monkeypatch.setattr(pushes, "everywhere", lambda found, *_: found)
+    one: Any = SimpleNamespace(joints=joints, records=[[SimpleNamespace(recording="held")]])
+    parts: Any = SimpleNamespace(fit=one, choose=one, test=one, held=one, each=(one, one, one))
+    out = Decision(1, "unexplained", (), (), model, model, size, size, size, size, model, 1.0)  # type: ignore[arg-type]
+    assert pushes.pushed_beside(out, [model], parts, False, 1) == (push if told else None)
+
+
 @pytest.mark.parametrize(
     ("spread", "share", "steady", "loads", "pushed"),
     [

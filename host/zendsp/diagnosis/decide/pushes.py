@@ -107,7 +107,8 @@ def pushed_beside(
         lacks = max(discrepancy(part, model, joint).value for part in where)
         if lost(parts, model, joint) or lacks < LAWFUL:
             continue
-        for found in (in_held(parts, model, joint, OFTEN), in_fit(parts, model, joint, MANY)):
+        held = in_held(parts, model, joint, OFTEN) if alone else None
+        for found in (held, in_fit(parts, model, joint, MANY)):
             if found is None:
                 continue
             both = everywhere(found, (parts.fit, parts.held), model, joint)
