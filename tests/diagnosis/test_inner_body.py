@@ -61,6 +61,9 @@ def test_a_body_inside_a_simulator_is_no_law_of_its_joints() -> None:
     two = replace(gain, findings=(*gain.findings, SimpleNamespace(effect="inertia", joint=1)))
     assert without_parts(two, arm(free=False), freed).findings == (), "two laws of one joint"
     assert without_parts(two, arm(free=False), lambda _: two) is two
+    gains = said("torque_gain", "torque_gain", left=1e-4)
+    assert without_parts(gains, arm(free=False), freed).findings == (), "a gain of each joint"
+    assert without_parts(gains, arm(free=False), lambda _: gains) is gains
     body = without_parts(wrong, arm(free=False), freed)
     assert body.verdict == "unexplained" and body.findings == ()
     assert "joints 1 and 2 is a wrong body" in body.unexplained and "a1" in body.unexplained
