@@ -85,6 +85,10 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ): "takes the place of parts of the page's machine: tests/target/test_docs.py homes it",
     ("docs/machines.md", "static void axis_keep_alive(void *h) {"): SYNTAX,
     ("docs/measurements/arms.md", "python benchmarks/forms.py FOLDER"): CLONE,
+    (
+        "docs/measurements/arms.md",
+        "python benchmarks/forms.py FOLDER --group bodies --form urdf --seed 1",
+    ): CLONE,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/loop.md", "python benchmarks/many.py 50"): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
