@@ -84,7 +84,8 @@ def test_only_friction_that_the_given_model_lacks_is_expected(
     monkeypatch.setattr(pieces, "_lacks", lambda *_: True)
     test: Any = SimpleNamespace(joints=1)
     terms = (Term("coulomb", 1, {}),)
-    found = pieces.piece_of(test, model(*given), scored, "dry_friction", terms, scored, 1)
+    monkeypatch.setattr(pieces, "_contains", lambda *_: True)
+    found = pieces.piece_of(test, model(*given), scored, "dry_friction", terms, (scored,), 1)
     assert found.expected is expected
 
 
@@ -205,7 +206,9 @@ def test_a_likelier_law_that_untouched_recordings_do_not_show_takes_no_place(
         of_one_claim(claim_of(Term(e, 1, {}), 0.3), 0.3, 0.1, SimpleNamespace(model=model()))
         for e in ("coulomb", "hysteresis")
     )
-    searches: list[Any] = [SimpleNamespace(joint=1, base=first.base, name=n) for n in ("a", "b")]
+    searches: list[Any] = [
+        SimpleNamespace(joint=1, base=first.base, steps=(), name=n) for n in ("a", "b")
+    ]
     nothing = replace(first, kind=Verdict.UNEXPLAINED, claims=())
     for name, answer in {
         "worth_choosing": first.final, "discrepancy": first.before, "new_terms": ["some"],

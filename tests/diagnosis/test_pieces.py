@@ -351,6 +351,40 @@ def test_no_term_is_dropped_without_which_all_recordings_are_far_less_likely(
     assert len(long) == refitted
 
 
+@pytest.mark.parametrize(
+    ("has", "bandwidth", "within"), [
+        (("elasticity",), 64.0, True), (("elasticity", "lag"), 64.0, False),
+        (("elasticity",), 32.0, False), ((), 64.0, True),
+    ],
+)  # fmt: skip
+def test_a_mechanism_is_not_worth_more_than_against_a_model_from_the_way(
+    has: tuple[str, ...], bandwidth: float, within: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A coupling beside a spring was worth as much as both (log e 639, and 168 beside the spring as
+    it was found): without the coupling the spring had run away from its own numbers.
+    """
+    monkeypatch.setattr(pieces, "new_terms", lambda _, model, __: model)
+
+    def scored(deviance: float, *effects: str, bandwidth: float = 64.0) -> Any:
+        data = SimpleNamespace(bandwidth=(bandwidth,))
+        return SimpleNamespace(
+            deviance=deviance, model=[Term(e, 1, {}) for e in effects], data=data
+        )
+
+    final, away = scored(-9.0, "elasticity", "coupling"), scored(0.0, "elasticity")
+    base, way = scored(-1.0), scored(-5.0, *has, bandwidth=bandwidth)
+    for name, does in {
+        "_without": lambda *_: away, "difference": lambda *_: 0.1, "_unseen": lambda *_: 1.0,
+        "compare": lambda *_: Evidence(9.0, 9.0, np.ones(4)), "log_e_value": lambda *_: 0.0,
+        "_lacks": lambda *_: False,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(pieces, name, does)
+    test: Any = SimpleNamespace(joints=2)
+    terms, given = (Term("coupling", 1, {}),), model_of(VISCOUS)
+    found = pieces.piece_of(test, given, final, "inertia", terms, (base, way), 1)
+    assert found.without is (way if within else base)
+
+
 def test_a_piece_is_not_worth_more_than_all_that_was_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -367,12 +401,13 @@ def test_a_piece_is_not_worth_more_than_all_that_was_found(
     monkeypatch.setattr(pieces, "_lacks", lambda *_: True)
     new: list[Term] = []
     monkeypatch.setattr(pieces, "new_terms", lambda *_: new)
+    monkeypatch.setattr(pieces, "_contains", lambda *_: True)
     test: Any = SimpleNamespace(joints=1)
     terms = (Term("viscous", 1, {"coefficient": Quantity(380.0)}),)
 
     def asked() -> Piece:
         given: Any = SimpleNamespace(at=lambda _: ())
-        return pieces.piece_of(test, given, final, "fluid_friction", terms, base, 1)  # type: ignore[arg-type]
+        return pieces.piece_of(test, given, final, "fluid_friction", terms, (base,), 1)  # type: ignore[arg-type]
 
     assert (asked().without, asked().size) == (base, 0.6)
     new.append(Term("quadratic_drag", 1, {"coefficient": Quantity(1.0)}))

@@ -50,7 +50,7 @@ def split(
     monkeypatch.setattr(decide, "piece_of", lambda _t, _g, final, e, *_: made(final.model, e))
     monkeypatch.setattr(decide, "held_apart", apart)
     monkeypatch.setattr(decide, "sure", lambda _, p: p.evidence.z > 3.0)
-    search: Any = SimpleNamespace(joint=1, base=None)
+    search: Any = SimpleNamespace(joint=1, base=None, steps=())
     whole: Any = SimpleNamespace(model=next(iter(proposed)))
     given: Any = None
     final, claimed, rest = decide._surely_shown(PARTS, given, search, whole, 1)
