@@ -100,7 +100,9 @@ def with_their_links(
         tried, proposed = [], _proposed(explained)
         for joint in found:
             searched, decision = explained[0][joint - 1], proposed[joint - 1]
-            model = _with_joint(explained[2].improved, decision)
+            stands = decision is explained[1][joint - 1]
+            improved = explained[2].improved
+            model = improved if stands else _with_joint(improved, decision)
             with_it = with_links(measured_motion, model, felt | {joint})
             same = {joint: (searched, decision)}
             again = explain(with_bodies(with_it, beneath), given, beneath, jobs, tell, same)
@@ -131,7 +133,7 @@ def _proposed(explained: Explained) -> list[Decision]:
 
 
 def _with_joint(model: Model, decision: Decision) -> Model:
-    """The improved model with what a decision has at its joint."""
+    """The improved model with what a decision that was given up has at its joint."""
     others = (t for t in model.terms if t.joint != decision.joint)
     return model.with_terms((*others, *decision.final.model.at(decision.joint)))
 
