@@ -101,16 +101,18 @@ def test_the_other_joint_feels_the_link_and_not_what_a_sensor_shows(
 
 
 def test_only_claimed_transmissions_change_an_unseen_links_motion() -> None:
-    def explained(*claims: tuple[int, str]) -> Any:
-        decisions = [
-            SimpleNamespace(joint=j, claims=[SimpleNamespace(mechanism=m)]) for j, m in claims
-        ]
-        return None, decisions, SimpleNamespace(improved=_model("motor", SPRING))
+    final = SimpleNamespace(model=_model("motor", SPRING))
 
-    claimed = joints._claimed
-    assert claimed(explained((1, "transmission"), (2, "transmission")), "transmission") == {1}
-    assert claimed(explained((1, "measurement")), "transmission") == frozenset()
-    assert claimed(explained((1, "measurement")), "transmission", "measurement") == {1}
+    def decided(*claims: tuple[int, str]) -> Any:
+        return [
+            SimpleNamespace(joint=j, claims=[SimpleNamespace(mechanism=m)], final=final)
+            for j, m in claims
+        ]
+
+    unseen = joints._unseen
+    assert unseen(decided((1, "transmission"), (2, "transmission")), "transmission") == {1}
+    assert unseen(decided((1, "measurement")), "transmission") == frozenset()
+    assert unseen(decided((1, "measurement")), "transmission", "measurement") == {1}
 
 
 def test_the_other_joint_feels_a_link_whose_transmission_two_sensors_measure() -> None:
