@@ -29,8 +29,6 @@ class Needs:
         An analog input in A and one in V for each joint with a drive.
     model : str
         What a model file is needed for; "": for nothing. The shipped machine has its own.
-    only : str
-        Name of the only machine that it is for so far; "": any.
     """
 
     command: Command = "torque"
@@ -38,12 +36,9 @@ class Needs:
     most: int = 0
     sensed: bool = False
     model: str = ""
-    only: str = ""
 
     def words(self) -> str:
         """The needs in a line, for a list."""
-        if self.only:
-            return self.only
         joints = {(1, 0): "", (1, 1): ", one joint"}.get(
             (self.least, self.most), f", {self.least} joints" + (" or more" * (not self.most))
         )
@@ -60,8 +55,6 @@ class Needs:
         has_model : bool
             Whether there is a model file, or the machine needs none.
         """
-        if self.only and machine.name != self.only:
-            return f"needs the machine {self.only}, and this is {machine.name}"
         driven = driven_joints(machine)
         if not driven:
             return "needs a joint with a motor, and this machine has none"
