@@ -69,6 +69,8 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "tests/experiment makes it; test_full_disk.py types it"
     ),
     ("docs/experiments.md", "zendsp experiment friction -t arm"): EXPERIMENT,
+    ("docs/measurements/experiments.md", "zendsp experiment mechanical -t NAME"): EXPERIMENT,
+    ("docs/measurements/experiments.md", "zendsp experiment NAME -t NAME"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment friction-curve --into my_imi.toml"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment all --report docs/results.md"): EXPERIMENT,
     ("docs/experiments.md", "from zendsp.experiment import Lab, run_experiment"): (
