@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis.data.columns import check_units, getter
+from zendsp.diagnosis.data.plausibility import _geared
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.regression import Regression
 from zendsp.diagnosis.data.sampling import resolution_of
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import parse_model
@@ -148,3 +151,18 @@ def test_a_set_value_is_told_by_its_numbers(slope: float, noise: float, is_one: 
     q = np.sin(np.arange(2000) / 60.0)
     u = 0.4 + slope * q + noise * np.random.default_rng(0).standard_normal(2000) / np.sqrt(2)
     assert is_set_value(u, q) is is_one
+
+
+@pytest.mark.parametrize(
+    ("slope", "carries", "refused"),
+    [(170.0, True, False), (170.0, False, True), (0.001, True, True), (0.001, False, True)],
+)
+def test_a_light_link_may_carry_a_hundred_times_its_own_inertia(
+    slope: float, carries: bool, refused: bool
+) -> None:
+    """`zendsp demo --machine wam7` refused three of seven of its own payloads as "different sides
+    of a gear".
+    """
+    found = Regression(slope, 0.01 * slope, 0.99, 0.5, 0.1, 0.0, 0.0, 1.0, False)
+    with pytest.raises(RecordingError, match="sides of a gear") if refused else nullcontext():
+        _geared("run", found, carries)

@@ -10,12 +10,14 @@ import click
 
 from zendsp.cli.common import check_writable, end_softly, json_option, out_option, wrapped
 from zendsp.cli.completing import experiments
+from zendsp.errors import ModelError, RecordingError, Refused, ZendspError
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from zendsp.experiment import Lab, Result
+    from zendsp.link import Target
     from zendsp_protocol.messages import MachineInfo
 
 
@@ -59,7 +61,8 @@ def command(
 
     Moves the machine. Ctrl-C stops it at the next sample. Every recording is kept, also the one
     that Ctrl-C ends; the result is a TOML file that a model takes in. With --target, all means all
-    whose needs that machine meets; of each other one a line says what is lacking.
+    whose needs that machine meets; of each other one a line says what is lacking, or why it could
+    not be made.
 
     Example:  zendsp experiment friction-curve --into examples/models/imi_planar.toml
     """
@@ -85,14 +88,40 @@ def command(
         if name == "all" and told is not None:
             names = _fitting(names, told, model is not None)
         takes = fit_model(names, into, told) if into is not None else []  # before it moves
-        labs = (Lab(out, opened, model=model) for _ in names)
-        for each, lab in zip(names, labs, strict=True):
-            _make(each, lab, into if each in takes else None, as_json)
+        goes_on = opened if name == "all" else None
+        _make_each(names, lambda: Lab(out, opened, model=model), into, takes, as_json, goes_on)
     if report is not None:
         from zendsp.experiment.report import write_report
 
         write_report(out, report)
         click.echo(f"wrote {report}", err=as_json)
+
+
+def _make_each(
+    names: Sequence[str],
+    lab: Callable[[], Lab],
+    into: Path | None,
+    takes: Sequence[str],
+    as_json: bool,
+    goes_on: Target | None,
+) -> None:
+    """Make experiments, each in a lab of its own. On the machine ``goes_on`` one that cannot be
+    made does not keep the others from it, unless a limit has tripped or somebody has stopped it.
+    """
+    failed = []
+    for name in names:
+        try:
+            _make(name, lab(), into if name in takes else None, as_json)
+        except (RecordingError, Refused, ModelError) as error:
+            if goes_on is None or not goes_on.alive or goes_on.status().trip is not None:
+                raise
+            failed.append(name)
+            click.echo(f"{name} is not made: {error}", err=True)
+    if failed:
+        raise ZendspError(
+            f"{len(failed)} of {counted(len(names), 'experiment')} could not be made:"
+            f" {', '.join(failed)}; the reasons stand above"
+        )
 
 
 def _present(name: str) -> str:

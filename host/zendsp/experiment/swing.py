@@ -17,6 +17,7 @@ from zendsp.experiment.lab import Lab, needed, own_program
 from zendsp.experiment.mechanics import mechanical
 from zendsp.experiment.pendulum_swing import AFTER, Plans, compare
 from zendsp.experiment.result import Result
+from zendsp.extras import need
 from zendsp.reference import Limits, Machine, Reference, make_swing
 from zendsp.reference.dynamics import G
 from zendsp_protocol.messages import JointInfo
@@ -67,6 +68,7 @@ def swing(lab: Lab) -> Result:
     name = lab.machine_of("swing")
     if lab.shipped("swing") == spun_shaft.MACHINE:
         return pendulum_swing.swing(lab)
+    need("casadi", "swing", "the optimal swing", Refused)  # before anything moves
     measured = needed(lab, "mechanical", mechanical)
     result = Result("swing", f"Optimal swing of {name}, three ways", name)
     with lab.bench(result.name) as bench:
@@ -169,9 +171,12 @@ def _plans(
             if _within(first, own) and _within(second, own):
                 return first, second
         duration *= LONGER
+    force = "N m" if own.unit == "rad" else "N"
     raise Refused(
-        f"{own.name}: no swing of {way:.3g} {own.unit} is found with {limit:.3g} of torque and"
-        f" {speed:.3g} {own.unit}/s"
+        f"{own.name}: no swing of {way:.3g} {own.unit} within {own.position_min:g} to"
+        f" {own.position_max:g} {own.unit} is found with {limit:.3g} {force}"
+        f" ({100 * TORQUE:g} % of its largest, less its weight) and {speed:.3g} {own.unit}/s: look"
+        " at what mechanical found, and at the limits that the machine declares"
     )
 
 

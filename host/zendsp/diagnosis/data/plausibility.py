@@ -21,7 +21,7 @@ from zendsp.diagnosis.data.regression import Regression, Slow, look, regress, ri
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.kernel.signals import is_set_value
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import TREES, Model, per_joint
 
 Array = npt.NDArray[np.float64]
 
@@ -158,7 +158,7 @@ def check_driven(
             period = records[0].sample_time
             likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "")
             _undo(name, found, likely, period, model, i)
-            _geared(name, found)
+            _geared(name, found, model.kind in TREES)
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
 
 
@@ -224,10 +224,13 @@ def scaled(name: str, slopes: Sequence[float], unit: str) -> None:
         )
 
 
-def _geared(name: str, found: Regression) -> None:
-    """Refuse a joint whose inertia no model has."""
+def _geared(name: str, found: Regression, carries: bool) -> None:
+    """Refuse a joint whose inertia no model has. ``carries``: the model has bodies, of which the
+    last may be so light that what it carries has a hundred times its inertia.
+    """
     small = 0.0 < found.slope + ERRORS * found.error < 1.0 / BY_GUESS
-    if found.r2 > GOOD and (small or found.slope - ERRORS * found.error > BY_GUESS):
+    large = not carries and found.slope - ERRORS * found.error > BY_GUESS
+    if found.r2 > GOOD and (small or large):
         gear = f" of about {found.slope**-0.5:.2g}" if small and found.slope > 0 else ""
         raise RecordingError(
             f"{name}: the inertia comes out as {found.slope:.2g} times the model's: position,"
