@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import FitTable, Left, Workings
 from zendsp.diagnosis.external.inner_body import without_parts
@@ -30,6 +32,7 @@ class Said:
     test: FitTable | None = None
     next_recording: None = None
     workings: Any = None
+    refinements: tuple[Any, ...] = ()
 
 
 def said(*effects: str, left: float = 0.04) -> Any:
@@ -105,3 +108,25 @@ def test_joints_that_lack_parts_of_a_body_are_said_to_though_no_law_is_named() -
     assert body.unexplained.endswith("Joint 1: a torque of 1 N m")
     for effects in (("stiffness", None), ("torque_gain",)):  # a hose; one joint alone
         assert lacking(*effects).unexplained == none.unexplained
+
+
+@pytest.mark.parametrize(("law", "claimed"), [("inertia", False), ("viscous", True)])
+def test_what_a_joint_feels_of_another_ones_motion_is_no_law_of_its_own(
+    law: str, claimed: bool
+) -> None:
+    """A link's mass inside an FMU was a coupling (0.87), which left nothing."""
+    coupling = SimpleNamespace(effect="coupling", joint=1, numbers={"law": law})
+    friction = SimpleNamespace(effect="coulomb", joint=2, numbers={})
+
+    def alone(_model: Model) -> Any:
+        raise AssertionError("not asked again")
+
+    for others in ((), (friction,)):
+        found: Any = replace(said(left=1e-4), findings=(coupling, *others), refinements=())
+        told = without_parts(found, arm(free=True), alone)
+        assert told.findings == ((coupling, *others) if claimed else others)
+        assert ("wrong body inside" in told.unexplained) is not claimed
+        if not claimed and others:
+            assert told.refinements == (coupling,), "the improved model has it"
+        if not claimed and not others:
+            assert told.verdict == Verdict.UNEXPLAINED and told.improved == "calibrated"

@@ -28,6 +28,8 @@ PARTS = (
     " MJCF"
 )
 
+OF_BODIES = ("inertia", "coriolis")  # laws of a coupling
+
 
 def like_a_part(effect: str) -> bool:
     """Whether a joint's part of a wrong body may look like this effect."""
@@ -97,6 +99,31 @@ def without_parts(
         return d
     if not d.findings:
         return of_no_law(d)
+    return _of_the_mechanism(_told(d, given, diagnose, terms))
+
+
+def _of_the_mechanism(d: Diagnosis) -> Diagnosis:
+    """The diagnosis without claimed couplings by inertia: what a joint feels of another one's
+    motion comes from the bodies between them, and no joint has a law of its own for it.
+    """
+    felt = [f for f in d.findings if f.effect == "coupling" and f.numbers.get("law") in OF_BODIES]
+    if not felt:
+        return d
+    rest = tuple(f for f in d.findings if f not in felt)
+    said = d.unexplained
+    if "wrong body inside" not in said:
+        said = _parts({f.joint for f in felt}, ["coupling"], d)
+    if not rest:
+        return _unclaimed(replace(d, refinements=()), said)
+    return replace(d, findings=rest, refinements=(*d.refinements, *felt), unexplained=said)
+
+
+def _told(
+    d: Diagnosis, given: Model, diagnose: Callable[[Model], Diagnosis], terms: Collection[str]
+) -> Diagnosis:
+    """The diagnosis with numbers set free that the model file holds, where that leaves fewer parts
+    of a body; or without parts that leave something.
+    """
     if not _may_be_a_body(d):
         return d
     held = [
@@ -115,6 +142,11 @@ def without_parts(
     if not parts or any(f.joint not in left for f in d.findings):
         return d
     said = _parts({f.joint for f in parts}, dict.fromkeys(f.effect for f in parts), d)
+    return _unclaimed(d, said)
+
+
+def _unclaimed(d: Diagnosis, said: str) -> Diagnosis:
+    """The diagnosis, which claims nothing, with what is said instead."""
     return replace(
         d, verdict=Verdict.UNEXPLAINED, findings=(), improved=d.calibrated, unexplained=said,
         estimation=_calibrated(d.estimation), heldout=_calibrated(d.heldout),
