@@ -14,6 +14,7 @@ from zendsp.errors import Refused
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab
+from zendsp.experiment.low_speed import ROWS
 from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
 from zendsp.experiment.sliding import (
     MOVING,
@@ -22,13 +23,14 @@ from zendsp.experiment.sliding import (
     Sliding,
     constant_speed_pieces,
     fit_friction,
-    friction_effects,
+    found_friction,
 )
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
 from zendsp_protocol.views import with_std
 
 Array = npt.NDArray[np.float64]
+Line = tuple[float, float, float, float]  # level, viscous coefficient, their half widths
 
 PROGRAM = "joint_pd.c"
 CHANNELS = ("play_time", "q", "tau")
@@ -97,9 +99,13 @@ def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: flo
             way = at + direction * np.cumsum(pace) * period
             moves.append(way)
             at = float(way[-1])
-    q = np.tile(place, (sum(map(len, moves)), 1))
-    q[:, number - 1] = np.concatenate(moves)
-    return Reference(q, period, kind="trapezoid", machine="")
+    way = np.concatenate(moves)
+    stride = -(-len(way) // ROWS)  # slow moves have more samples than a table has rows
+    while round(1.0 / period) % stride:  # rows a second are a whole number
+        stride += 1
+    q = np.tile(place, (len(way[::stride]), 1))
+    q[:, number - 1] = way[::stride]
+    return Reference(q, stride * period, kind="trapezoid", machine="")
 
 
 def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
@@ -109,10 +115,12 @@ def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
     column = reference.qd[:, joint - 1]
     wanted = np.unique(np.round(np.abs(column[np.abs(reference.qdd[:, joint - 1]) < STEADY]), 6))
     slowest, fastest = FOLLOWS * wanted[wanted > MOVING][[0, -1]]
+    stride = round(reference.sample_time * bench.target.status().rate_hz)
     stiffer: dict[str, Array] = {}
     for _ in range(TRIES + 1):
         rec = bench.record(
-            f"joint{joint}", PROGRAM, CHANNELS, reference=reference, before=2.0, decimation=2,
+            f"joint{joint}", PROGRAM, CHANNELS, reference=reference, before=2.0,
+            decimation=2 * stride,
             **stiffer,  # type: ignore[arg-type]
         )
         sliding = constant_speed_pieces(rec, reference, joint, gravity=False)
@@ -149,10 +157,7 @@ def fit_line(sliding: Sliding, may_weigh: bool) -> Friction:
     without, within = plain.squares, found.squares
     more = free > 0 and (without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free
     if not more:
-        value = {
-            way: (level, viscous, max(half, found.value[way][2]), max(dv, found.value[way][3]))
-            for way, (level, viscous, half, dv) in plain.value.items()
-        }
+        value = {way: _wider(line, found.value[way]) for way, line in plain.value.items()}
         widest = max(plain.inertia[1], found.inertia[1])
         found = replace(
             plain, value=value, weight_half=found.weight_half, sine=(0.0, found.sine[1]),
@@ -179,10 +184,20 @@ def _falling(sliding: Sliding, weighs: bool) -> Friction:
     best = min(tried, key=lambda f: f.squares)
     free = len(sliding.torque) - 9
     more = (found.squares - best.squares) / 2 > fdtri(2, free, NO_CHANCE) * best.squares / free
-    if not more or best.excess <= 0.0:
+    if not more or best.excess <= best.excess_half:
         return found
     whole = fit_friction(sliding, weighs, unknown=True, slow=best.slow, about=True)
-    return replace(whole, excess=best.excess)
+    if whole.mean[0] > whole.mean[2]:
+        return replace(whole, excess=best.excess)
+    # what it would end in is not told from nothing: no fall, but so uncertain is the line too
+    value = {way: _wider(line, whole.value[way]) for way, line in found.value.items()}
+    return replace(found, value=value, mean=_wider(found.mean, whole.mean))
+
+
+def _wider(line: Line, beside: Line) -> Line:
+    """A line with half widths at least those of another one."""
+    level, viscous, half, dv = line
+    return level, viscous, max(half, beside[2]), max(dv, beside[3])
 
 
 def _even(found: Friction) -> Friction:
@@ -238,18 +253,15 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
     row["viscous"] = with_std(viscous, dv, f"{force} s/{unit}")
     result.values[f"coulomb{joint}"] = Estimate(level, dl / NORMAL, force)
     result.values[f"viscous{joint}"] = Estimate(viscous, dv / NORMAL, f"{force} s/{unit}")
-    weight, dw = found.weight, found.weight_half
-    result.values[f"weight{joint}"] = Estimate(weight, dw / NORMAL, force)
-    row["weight"] = with_std(weight, dw, force)
+    for name, (weight, dw) in found.weights(unit == "rad").items():
+        result.values[f"{name}{joint}"] = Estimate(weight, dw / NORMAL, force)
+        row[name.replace("_", " ")] = with_std(weight, dw, force)
     result.tables.setdefault("friction", []).append(row)
-    if found.uneven:
-        result.effects += friction_effects(joint, found)
-        return
-    coefficient = Estimate(max(0.0, viscous), dv / NORMAL)
-    result.effects += [
-        FoundEffect("coulomb", joint, {"level": Estimate(level, dl / NORMAL)}),
-        FoundEffect("viscous", joint, {"coefficient": coefficient}),
-    ]
+    if level - dl <= 0.0:
+        result.warnings.append(
+            f"Joint {joint}: the Coulomb level {with_std(level, dl, force)} is not told from zero."
+        )
+    result.effects += found_friction(joint, found)
 
 
 def _draw(

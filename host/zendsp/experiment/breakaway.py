@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from zendsp.errors import RecordingError, Refused
-from zendsp.experiment.estimates import mean_of
+from zendsp.experiment.estimates import NORMAL, half_width, mean_of
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
-from zendsp.experiment.joints import USED, Axis
+from zendsp.experiment.joints import USED, Array, Axis
 from zendsp.experiment.knowing import as_found, shipped, with_values
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import low_speed
@@ -54,7 +54,7 @@ def breakaway(lab: Lab, count: int = 6, joints: tuple[int, ...] = ()) -> Result:
     arm = shipped(lab)
     low = None
     if arm is None:
-        own = [f"level{j}" for j in joints]
+        own = [(f"peak{j}",) for j in joints]
         low = with_values(lab, "low-speed", lambda lab: low_speed(lab, joints=joints), own)
     of = " of the planar arm" if arm is not None else ""
     result = Result("breakaway", f"Static friction{of}", lab.machine_of("breakaway"))
@@ -197,10 +197,8 @@ def _report_weighing(result: Result, pushes: Pushes) -> None:
     mean = Estimate(mean.value + early.value, mean.std, axis.force)
     result.values[f"breakaway{axis.number}"] = mean
     if axis.unit == "rad":
-        A = np.stack([np.cos(places), np.sin(places)], axis=1)
-        cos, sin = np.linalg.lstsq(A, weight, rcond=None)[0]
-        result.values[f"weight{axis.number}_cos"] = Estimate(float(cos), 0.0, axis.force)
-        result.values[f"weight{axis.number}_sin"] = Estimate(float(sin), 0.0, axis.force)
+        for name, part in zip(("cos", "sin"), _turning(places, weight, pushes), strict=True):
+            result.values[f"weight{axis.number}_{name}"] = part
     else:
         result.values[f"weight{axis.number}"] = mean_of(weight.tolist(), axis.force)
     unit, force = axis.unit, axis.force
@@ -224,6 +222,21 @@ def _report_weighing(result: Result, pushes: Pushes) -> None:
             f" {np.abs(weight).max():.3g} {force}, is more than breaks it away: it was held, and"
             " the torque stepped up and down from what holds it."
         )
+
+
+def _turning(places: Array, weight: Array, pushes: Pushes) -> list[Estimate]:
+    """The weight at some places as a cos q + b sin q. One push is off by the height of its step and
+    by noise, also where two places fit any weight.
+    """
+    A = np.stack([np.cos(places), np.sin(places)], axis=1)
+    inverse = np.linalg.pinv(A.T @ A)
+    x = inverse @ A.T @ weight
+    free = len(places) - 2
+    scatter = float(np.sum((weight - A @ x) ** 2)) / max(free, 1)
+    half = half_width(np.sqrt(scatter * np.diag(inverse)), free) if free > 0 else np.zeros(2)
+    one = np.sqrt(0.5 * np.diag(inverse)) * _shared(pushes)
+    std = np.hypot(half / NORMAL, one)
+    return [Estimate(float(v), float(s), pushes.axis.force) for v, s in zip(x, std, strict=True)]
 
 
 def _report_stiffness(result: Result, pushes: Pushes) -> None:
@@ -280,7 +293,14 @@ def _push(
         sure = axis.load.weight_std < RESTS * axis.level
         band = RESTS * axis.level if sure else axis.torque
     most = USED * axis.torque - axis.load.most
-    enough = axis.enough
+    if most <= 0.0:
+        raise RecordingError(
+            f"joint {joint} carries up to {axis.load.most:.3g} {axis.force}, and {USED:.0%} of its"
+            f" limit of {axis.torque:.3g} {axis.force} is {USED * axis.torque:.3g}: nothing is left"
+            " to push it with. Let the machine declare a larger torque_max, or measure it where it"
+            " carries less"
+        )
+    enough = min(axis.enough, most)
     while True:
         rec = pusher.push(
             name, joint, direction, position, enough / rate, cutoff=CUTOFF, band=band,

@@ -13,7 +13,7 @@ from zendsp.errors import RecordingError, Refused
 from zendsp.experiment.estimates import NORMAL, line_fit
 from zendsp.experiment.figures import BLUE, GREY, label, make_figure, save
 from zendsp.experiment.joints import USED, Axis, Known
-from zendsp.experiment.knowing import PROGRAM, as_found, shipped, with_values
+from zendsp.experiment.knowing import PROGRAM, as_found, shipped, top_speed, with_values
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import ACTS, low_speed
 from zendsp.experiment.push import BRAKING, PUSHING, Pusher, columns
@@ -55,7 +55,7 @@ def high_speed(
     """
     arm, low = shipped(lab), None
     if arm is None:
-        own = [f"level{j}" for j in joints]
+        own = [(f"peak{j}",) for j in joints]
         low = with_values(lab, "low-speed", lambda lab: low_speed(lab, joints=joints), own)
     of = " of the planar arm" if arm is not None else ""
     result = Result("high-speed", f"Friction{of} at high speed", lab.machine_of("high-speed"))
@@ -100,7 +100,12 @@ def _unfit(axis: Axis) -> str:
             " (--model FILE) states it"
         )
     if not axis.speeds:
-        return "its range, its largest speed and its torque leave no speed above the low ones"
+        top, why = top_speed(axis)
+        return (
+            f"{why} leaves it {max(top, 0.0):.3g} {axis.unit}/s, and low-speed goes to"
+            f" {axis.pace:.3g} already. Let the machine declare more where it can, give the speeds"
+            " yourself (in Python), or take what low-speed found"
+        )
     return ""
 
 
@@ -175,7 +180,9 @@ def _steady(
     if len(rows) < 20:
         raise RecordingError(
             f"joint {axis.number} did not come to {middle + direction * part[1] * half:.3g}"
-            f" {axis.unit} by {torque:.3g} {axis.force}; look at the recording"
+            f" {axis.unit} by {min(torque, most):.3g} {axis.force}, of at most {most:.3g} beside its"
+            " weight; look at the recording for what holds it, or let the machine declare a larger"
+            " torque_max"
         )
     t = rec.t[rows] - rec.t[rows].mean()
     quadratic, slope, _ = np.polyfit(t, q[rows, j], 2)

@@ -82,15 +82,17 @@ def first_look(bench: Bench, lab: Lab) -> Known:
 
 
 def with_values(
-    lab: Lab, name: str, make: Callable[[Lab], Result], values: Sequence[str]
+    lab: Lab, name: str, make: Callable[[Lab], Result], values: Sequence[tuple[str, ...]]
 ) -> Result:
-    """Another experiment's result on the same machine that has these values, read from this folder
-    or made now.
+    """Another experiment's result on the same machine that has one of each of these values, read
+    from this folder or made now.
     """
     found = needed(lab, name, make)
-    if all(value in found.values for value in values):
+    lacking = [one for one in values if not any(value in found.values for value in one)]
+    if not lacking:
         return found
-    lab.say(f"{name} in {lab.folder} lacks a joint: it is made again")
+    words = ", ".join(" or ".join(one) for one in lacking)
+    lab.say(f"{name} in {lab.folder} lacks {words}: it is made again")
     found = make(lab)
     found.save(lab.folder / name / "result.toml")
     return found
@@ -115,14 +117,14 @@ def as_found(bench: Bench, lab: Lab, low: Result | None) -> Known:
             load = _load(low, j, axis.load.inertia)
         else:
             continue
-        level, slope = (
-            low.values[f"{name}{j}"].value if f"{name}{j}" in low.values else instead
-            for name, instead in (("level", axis.level), ("slope", 0.0))
-        )
+        level, slope = axis.level, 0.0
+        if found := low.values.get(f"level{j}"):
+            level = max(found.value, found.std) or axis.level
+            slope = low.values[f"slope{j}"].value
         place = float(pose[j - 1])
         # where friction falls with speed its slope there says nothing of high speeds
-        viscous = max(slope, abs(level) / axis.speed)
-        axes[j] = with_pushes(axis_of(j, infos[j - 1], place, load, abs(level), viscous))
+        viscous = max(slope, level / axis.speed)
+        axes[j] = with_pushes(axis_of(j, infos[j - 1], place, load, level, viscous))
     return replace(first, axes=axes, pose=pose, stands=first.pose)
 
 
@@ -149,16 +151,26 @@ def with_pushes(axis: Axis) -> Axis:
     """The joint with pushes at constant torque: speeds that it reaches, and stops from, within its
     range, its largest speed and torque.
     """
-    load, room = axis.load, axis.high - axis.low
-    settles = load.inertia / max(axis.viscous, 1e-9)  # s
-    spare = max(0.0, 0.5 * USED * axis.torque - load.most - axis.level)
-    speeds = [USED * 0.75 * axis.speed, spare / max(axis.viscous, 1e-9)]
-    speeds.append(max(WAY * room / (1.2 * settles), 2.0 * axis.pace))
-    stops = 0.5 * USED * axis.torque / load.inertia  # rad/s^2
-    speeds += [BRAKES * room / BRAKED, (2.0 * BRAKES * room * stops) ** 0.5]
-    top = min(speeds)
+    top, _ = top_speed(axis)
     if not top > axis.pace:
         return axis
     return replace(axis, speeds=tuple(np.geomspace(max(0.4 * top, axis.pace), top, 5).tolist()))
 
 
+
+def top_speed(axis: Axis) -> tuple[float, str]:
+    """The largest speed of pushes at constant torque, and what bounds it, in words."""
+    load, room, viscous = axis.load, axis.high - axis.low, max(axis.viscous, 1e-9)
+    spare = max(0.0, 0.5 * USED * axis.torque - load.most - axis.level)
+    stops = 0.5 * USED * axis.torque / load.inertia  # rad/s^2
+    force, far = axis.force, f"its range of {room:.3g} {axis.unit}"
+    return min(
+        (USED * 0.75 * axis.speed, f"its largest speed of {axis.speed:.3g} {axis.unit}/s"),
+        (spare / viscous,
+         f"its torque_max of {axis.torque:.3g} {force}, beside a weight of up to {load.most:.3g}"
+         f" and a friction of {axis.level:.3g} {force},"),
+        (max(WAY * room * viscous / (1.2 * load.inertia), 2.0 * axis.pace),
+         f"{far}, in which it has to come to a steady speed,"),
+        (BRAKES * room / BRAKED, f"{far}, in which it has to stop,"),
+        ((2.0 * BRAKES * room * stops) ** 0.5, f"{far}, in which it has to stop,"),
+    )  # fmt: skip

@@ -18,8 +18,8 @@ from zendsp.experiment.any_friction import FOLLOWS, STIFFER, TRIES, fit_line
 from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, smoothed
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
-from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
-from zendsp.experiment.sliding import ACTS, Friction, Sliding, friction_effects
+from zendsp.experiment.result import Cell, Estimate, Result
+from zendsp.experiment.sliding import ACTS, Friction, Sliding, found_friction
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
@@ -248,10 +248,7 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
         "coulomb": (level, dl, force),
         "viscous": (viscous, dv, f"{force} s/{unit}"),
     }
-    if found.constant[1] or not turns:
-        numbers["weight"] = (*found.constant, force)
-    else:
-        numbers |= {"weight_sine": (*found.sine, force), "weight_cosine": (*found.cosine, force)}
+    numbers |= {name: (*weight, force) for name, weight in found.weights(turns).items()}
     row: dict[str, Cell] = {"joint": joint}
     for name, (value, half, of) in numbers.items():
         result.values[f"{name}{joint}"] = Estimate(value, half / NORMAL, of)
@@ -267,15 +264,7 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
             f"Joint {joint}: its inertia is not told from zero: friction or weight hide it at these"
             " accelerations."
         )
-    if found.uneven:
-        result.effects += friction_effects(joint, found)
-        return
-    result.effects += [
-        FoundEffect("coulomb", joint, {"level": Estimate(level, dl / NORMAL)}),
-        FoundEffect(
-            "viscous", joint, {"coefficient": Estimate(max(0.0, viscous), dv / NORMAL)}
-        ),
-    ]
+    result.effects += found_friction(joint, found)
 
 
 def _of_one_joint(result: Result, unit: str, found: Friction) -> None:

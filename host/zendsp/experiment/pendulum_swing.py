@@ -13,7 +13,8 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from zendsp.experiment.figures import BLUE, GREEN, GREY, RED, label, make_figure, save
-from zendsp.experiment.lab import Bench, Lab, needed, playing
+from zendsp.experiment.knowing import with_values
+from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.spun_shaft import MACHINE, mechanical
 from zendsp.recording import Recording
@@ -23,6 +24,7 @@ Array = npt.NDArray[np.float64]
 
 GOAL = math.pi
 AFTER = 1.5  # s, to see whether it stays
+NEEDED = (("theta1",), ("theta2",), ("theta3",), ("viscous",))  # values of mechanical
 RUNS = ("open loop", "closed loop", "feedback level")
 CHANNELS = ("play_time", "q", "qd", "tau", "r", "adc")
 
@@ -42,7 +44,7 @@ def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0
     """Swing to upright with the least energy: planned with the measured friction and replayed, or
     planned without it and compensated.
     """
-    measured = needed(lab, "mechanical", mechanical)
+    measured = with_values(lab, "mechanical", mechanical, NEEDED)
     result = Result("swing", "Optimal swing of the pendulum, three ways", MACHINE)
     machine = measured_machine(measured)
     with_friction = make_swing(machine, goal=GOAL, duration=duration, torque_limit=torque)

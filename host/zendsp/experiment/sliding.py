@@ -113,19 +113,20 @@ def constant_speed_pieces(
     The first 30 % of each part are left out, in which the controller settles; so is the end, where
     a smoothed speed would take in the following ramp.
     """
-    rows = playing(rec, reference.samples // rec.decimation)
+    ratio = round(rec.sample_time / reference.sample_time)
+    rows = playing(rec, reference.samples // ratio)
     q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
     # where the program compensates no weight, all of it is found beside friction
     g = rec["g"][rows][:, joint - 1] if gravity else np.zeros_like(tau)
-    wanted = reference.qd[:: rec.decimation, joint - 1][: len(q)]
-    steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < STEADY) & (
+    wanted = reference.qd[::ratio, joint - 1][: len(q)]
+    steady = (np.abs(reference.qdd[::ratio, joint - 1][: len(q)]) < STEADY) & (
         np.abs(wanted) > MOVING
     )
     moves = stretches(steady)
     beside = min(SMOOTHED, min((b - a for a, b in moves), default=SMOOTHED) // 4) // 2
     window = max(3, 2 * beside + 1)
     qd, qdd = (smoothed(q, window, rec.sample_time, order) for order in (1, 2))
-    ahead = ACTS * reference.sample_time
+    ahead = ACTS * rec.sample_time / rec.decimation
     q, qd = q + ahead * qd, qd + ahead * qdd
     g = g + ahead * smoothed(g, window, rec.sample_time, 1)
     pieces = []
@@ -158,6 +159,7 @@ class Friction:
     weight: float  # N m, the most that the joint carries beyond what is compensated
     squares: float  # sum of the squared weighted residuals
     excess: float = 0.0  # N m more at rest, where friction falls with speed (Stribeck)
+    excess_half: float = 0.0  # N m, half width of it
     slow: float = 0.0  # rad/s, at which a third of it is left
     weight_half: float = 0.0  # N m, half width of the weight
     apart_half: float = 0.0  # N m, half width of half of what the directions' levels differ by
@@ -168,6 +170,12 @@ class Friction:
     cosine: tuple[float, float] = (0.0, 0.0)
     inertia: tuple[float, float] = (0.0, 0.0)
     alike: bool = False  # both directions are taken as alike: nothing tells them from weight
+
+    def weights(self, turns: bool) -> dict[str, tuple[float, float]]:
+        """The weight with half widths, by name: the same everywhere, or as sine and cosine."""
+        if self.constant[1] or not turns:
+            return {"weight": self.constant}
+        return {"weight_sine": self.sine, "weight_cosine": self.cosine}
 
 
 def fit_friction(
@@ -229,10 +237,10 @@ def fit_friction(
     excess = float(x[others]) if slow else 0.0
     free = sliding.torque - A[:, 4:others] @ x[4:others]
     found = Friction(
-        value, mean, uneven, carried, free, largest, squares, excess, slow, float(width[4]),
-        float(width[2]),
+        value, mean, uneven, carried, free, largest, squares, excess,
+        excess_half=float(half[others]) if slow else 0.0, slow=slow,
+        weight_half=float(width[4]), apart_half=float(width[2]), alike=both,
     )
-    found = replace(found, alike=both)
     each = [(float(v), float(h)) for v, h in zip(x, half, strict=True)]
     if weighs:
         found = replace(found, cosine=each[4], sine=each[5])
@@ -260,12 +268,26 @@ def _columns(
     return np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1), others
 
 
+def found_friction(joint: int, fitted: Friction) -> list[FoundEffect]:
+    """A joint's friction as effects of a model: of each direction where they differ. A level or a
+    coefficient that came out below zero, which no model takes, is zero.
+    """
+    if fitted.uneven:
+        return friction_effects(joint, fitted)
+    level, viscous, half_level, half_viscous = fitted.mean
+    coefficient = Estimate(max(0.0, viscous), half_viscous / NORMAL)
+    return [
+        FoundEffect("coulomb", joint, {"level": Estimate(max(0.0, level), half_level / NORMAL)}),
+        FoundEffect("viscous", joint, {"coefficient": coefficient}),
+    ]
+
+
 def friction_effects(joint: int, fitted: Friction) -> list[FoundEffect]:
-    """A joint's friction as effects of a model."""
+    """A joint's friction as effects of a model, of each direction."""
     coulomb, viscous = {}, {}
     for word, end in (("+", "pos"), ("-", "neg")):
         level, slope, half_level, half_slope = fitted.value[word]
-        coulomb[f"level_{end}"] = Estimate(level, half_level / NORMAL)
+        coulomb[f"level_{end}"] = Estimate(max(0.0, level), half_level / NORMAL)
         viscous[f"coefficient_{end}"] = Estimate(max(0.0, slope), half_slope / NORMAL)
     return [
         FoundEffect("coulomb_asymmetry", joint, coulomb),

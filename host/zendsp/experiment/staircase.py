@@ -8,7 +8,7 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import smoothed
-from zendsp.experiment.joints import Array, Axis, Known
+from zendsp.experiment.joints import USED, Array, Axis, Known
 from zendsp.experiment.push import PUSHING, columns
 from zendsp.recording import Recording
 
@@ -61,8 +61,10 @@ def breakaway_torque(
     held = (friction - axis.viscous * speed)[edge:-edge]
     if speed[edge:-edge].max() < AWAY * axis.pace:
         raise RecordingError(
-            f"joint {joint} did not break away: {held.max():.3g} {axis.force} were not enough; look"
-            " at the recording"
+            f"joint {joint} did not break away: pushed by up to"
+            f" {np.abs(rec['torque']).max():.3g} {axis.force} of its limit of"
+            f" {axis.torque:.3g} {axis.force}, of which at most {USED:.0%} are used. Let the machine"
+            " declare a larger torque_max, or look at the recording for what holds the joint"
         )
     twice = smoothed(held, 2 * samples + 1)
     return float(held.max()), float(LARGEST * np.std(held - twice))

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from zendsp.errors import ReferenceError_, Refused
 from zendsp.experiment import pendulum_swing, spun_shaft
-from zendsp.experiment.lab import Lab, needed, own_program
+from zendsp.experiment.knowing import with_values
+from zendsp.experiment.lab import Lab, own_program
 from zendsp.experiment.mechanics import mechanical
 from zendsp.experiment.pendulum_swing import AFTER, Plans, compare
 from zendsp.experiment.result import Result
@@ -34,6 +35,11 @@ FASTER = 0.3  # of the largest torque: what a joint without weight is accelerate
 LONGER, TRIES = 1.3, 8  # a duration in which there is no swing is made longer so often
 BANDWIDTH, DAMPING = 3.0, 0.5  # Hz and ratio of the loop around the swing
 STEEP = 100.0  # s/rad or s/m, of the friction that is compensated, as the paper
+# values of mechanical: one of each
+NEEDED = (
+    ("inertia1", "mass1"), ("coulomb1",), ("viscous1",), ("weight1", "weight_sine1"),
+    ("weight1", "weight_cosine1"),
+)
 CHANNELS = ("play_time", "q", "qd", "tau", "r")
 BEFORE = 2.0  # s, to where the joint hangs
 
@@ -69,7 +75,7 @@ def swing(lab: Lab) -> Result:
     if lab.shipped("swing") == spun_shaft.MACHINE:
         return pendulum_swing.swing(lab)
     need("casadi", "swing", "the optimal swing", Refused)  # before anything moves
-    measured = needed(lab, "mechanical", mechanical)
+    measured = with_values(lab, "mechanical", mechanical, NEEDED)
     result = Result("swing", f"Optimal swing of {name}, three ways", name)
     with lab.bench(result.name) as bench:
         joint = _joint(measured, bench.machine.joints[0])
