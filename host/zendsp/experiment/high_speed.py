@@ -180,9 +180,9 @@ def _steady(
     if len(rows) < 20:
         raise RecordingError(
             f"joint {axis.number} did not come to {middle + direction * part[1] * half:.3g}"
-            f" {axis.unit} by {min(torque, most):.3g} {axis.force}, of at most {most:.3g} beside its"
-            " weight; look at the recording for what holds it, or let the machine declare a larger"
-            " torque_max"
+            f" {axis.unit} by {min(torque, most):.3g} {axis.force}, of at most {most:.3g} beside"
+            " its weight; look at the recording for what holds it, or let the machine declare a"
+            " larger torque_max"
         )
     t = rec.t[rows] - rec.t[rows].mean()
     quadratic, slope, _ = np.polyfit(t, q[rows, j], 2)

@@ -4,7 +4,7 @@ low-speed experiment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from zendsp.errors import ModelError
 from zendsp.experiment.joints import (
     BRAKED,
     USED,
+    Array,
     Axis,
     Known,
     Load,
@@ -109,23 +110,48 @@ def as_found(bench: Bench, lab: Lab, low: Result | None) -> Known:
     infos = bench.machine.joints
     pose = np.array([low.values[f"place{j}"].value for j in range(1, len(infos) + 1)])
     axes = dict(first.axes)
+    other: dict[int, Load] = {}  # what the motion shows of joints whose model it contradicts
     for j, axis in first.axes.items():
         slides = axis.unit != "rad"
         if first.rigid is not None:
             load = load_of(first.rigid, pose, j, slides)
+            if f"model_inertia{j}" in low.values:
+                other[j] = _load(low, j, load.inertia)
         elif f"inertia{j}" in low.values:
             load = _load(low, j, axis.load.inertia)
         else:
             continue
         level, slope = axis.level, 0.0
-        if found := low.values.get(f"level{j}"):
-            level = max(found.value, found.std) or axis.level
+        if told := low.values.get(f"level{j}"):
+            level = max(told.value, told.std) or axis.level
             slope = low.values[f"slope{j}"].value
         place = float(pose[j - 1])
         # where friction falls with speed its slope there says nothing of high speeds
         viscous = max(slope, level / axis.speed)
-        axes[j] = with_pushes(axis_of(j, infos[j - 1], place, load, level, viscous))
-    return replace(first, axes=axes, pose=pose, stands=first.pose)
+        axes[j] = axis_of(j, infos[j - 1], place, other.get(j, load), level, viscous)
+        axes[j] = replace(with_pushes(axes[j]), load=load)
+    found = replace(first, axes=axes, pose=pose, stands=first.pose, apart=first.apart and not other)
+    return with_loads(found, other)
+
+
+def with_loads(known: Known, loads: Mapping[int, Load]) -> Known:
+    """The machine where these joints move other loads than was known; a model is corrected by what
+    they differ by.
+    """
+    axes = {**known.axes, **{j: replace(known.axes[j], load=load) for j, load in loads.items()}}
+    if known.rigid is None:
+        return replace(known, axes=axes)
+    rigid = known.rigid
+    before = {j: known.axes[j].load for j in loads}
+
+    def corrected(q: Array, qd: Array, qdd: Array) -> Array:
+        torque = np.array(rigid(q, qd, qdd))
+        for j, load in loads.items():
+            torque[:, j - 1] += (load.inertia - before[j].inertia) * qdd[:, j - 1]
+            torque[:, j - 1] += load.weight(q[:, j - 1]) - before[j].weight(q[:, j - 1])
+        return torque
+
+    return replace(known, axes=axes, rigid=corrected)
 
 
 def _load(low: Result, joint: int, said: float) -> Load:

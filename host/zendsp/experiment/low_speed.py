@@ -4,7 +4,7 @@ joint moves: its inertia and its weight.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,9 +15,9 @@ from zendsp.errors import Refused
 from zendsp.experiment.estimates import NORMAL, half_width, smoothed
 from zendsp.experiment.figures import AMBER, BLUE, label, make_figure, save
 from zendsp.experiment.joints import Array, Axis, Known, Load
-from zendsp.experiment.knowing import PROGRAM, first_look, shipped
+from zendsp.experiment.knowing import PROGRAM, first_look, shipped, with_loads
 from zendsp.experiment.lab import Bench, Lab, playing
-from zendsp.experiment.moved import Moved, measured_load
+from zendsp.experiment.moved import Moved, contradicting, measured_load
 from zendsp.experiment.push import travel_time
 from zendsp.experiment.result import Estimate, Result
 from zendsp.recording import Recording
@@ -34,6 +34,7 @@ QUICKER = 2.5  # speed of the quick triangles over that of the slow ones
 QUICK = 4  # cycles of them
 LEAST, SURELY, PEAK = 0.05, 0.4, 0.95  # of the peak: speeds that the load is fitted to
 QUIET = 0.2  # of the acceleration, what the encoder's counts may add to it
+FEWEST = 20  # points of the curve at which the joint slides
 ROWS = 50000  # of a program's table, at most
 
 
@@ -50,12 +51,15 @@ class Triangles(NamedTuple):
 
 @dataclass(frozen=True)
 class Curve:
-    """Speed, friction and where the joint loses speed, over the slow triangles; and the load."""
+    """Speed, friction and where the joint loses speed, over the slow triangles; the load; and that
+    of the model where the motion contradicts it.
+    """
 
     speed: Array
     friction: Array
     slowing: Mask
     load: Load
+    model: Load | None = None
 
 
 def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result:
@@ -113,15 +117,15 @@ def _approach(known: Known, motion: Triangles) -> float:
 
 
 def triangles(axis: Axis, known: Known, cycles: int, period: float) -> Triangles:
-    """Speed 0, peak, 0, -peak, 0 in straight lines, ``cycles`` + 1 times; and quicker ones where
-    the load is not known.
+    """Speed 0, peak, 0, -peak, 0 in straight lines, ``cycles`` + 1 times; and quicker ones, which
+    show the load, of a machine that is not the shipped one.
     """
     if not axis.travel > 0.0:
         raise Refused(
             f"joint {axis.number}: its range is {axis.low:g} to {axis.high:g} {axis.unit}: no way"
             " to move"
         )
-    unknown = known.rigid is None
+    unknown = known.program == PROGRAM
     rise = axis.travel / axis.pace
     total = 4.0 * rise * (cycles + 1 + (QUICK / QUICKER if unknown else 0.0))
     stride = max(1, int(np.ceil(total / period / ROWS)))
@@ -169,28 +173,42 @@ def friction_curve(rec: Recording, known: Known, axis: Axis, motion: Triangles) 
     torque = smoothed(mean_tau, window, ends="wrap")
     j = axis.number - 1
     load = axis.load
-    if known.rigid is None:
+    model: Load | None = None
+    if known.program == PROGRAM:
         begun = cycles * motion.slow + motion.quick
         parts = [
-            _part(q[rows_, j], tau[rows_, j], dt, (window, cycle // 4))
+            _part(q[rows_], tau[rows_, j], dt, (window, cycle // 4), known, axis.number)
             for rows_, cycle in (
                 (slow, motion.slow),
                 (slice(begun, begun + (QUICK - 1) * motion.quick), motion.quick),
             )
         ]
-        load = measured_load(parts, axis)
         # another joint that gave way has changed the weight
         away = float(np.ptp(np.delete(mean_q, j, axis=1), axis=0).max(initial=0.0))
-        if load.weighs:
-            load = replace(load, weight_std=float(np.hypot(load.weight_std, load.most * away)))
-        known = replace(known, axes={axis.number: replace(axis, load=load)})
+        load, model = _moved(parts, known, axis, away)
+        known = with_loads(known, {axis.number: load})
     friction = torque[:, j] - known.other(axis.number, mean_q, qd, qdd)
     v = qd[:, j]
     # slower than what one window gains, the smoothing mixes both directions
     mixed = np.abs(v) < 0.5 * window * dt * axis.pace**2 / axis.travel
     slowing = (v * qdd[:, j] < 0) & _after_peak(v, axis.pace) & ~mixed
     order = np.argsort(v)
-    return Curve(v[order], friction[order], slowing[order], load)
+    return Curve(v[order], friction[order], slowing[order], load, model)
+
+
+def _moved(
+    parts: Sequence[Moved], known: Known, axis: Axis, away: float
+) -> tuple[Load, Load | None]:
+    """What a joint moves: by the model where there is one and the motion does not contradict it,
+    else by the motion; and that of a model which it contradicts. ``away``: what the others moved,
+    rad; a model knows what that does.
+    """
+    if known.rigid is None:
+        load = measured_load(parts, axis)
+        std = float(np.hypot(load.weight_std, load.most * away))
+        return replace(load, weight_std=std if load.weighs else load.weight_std), None
+    load = contradicting(parts, axis)
+    return (axis.load, None) if load is None else (load, axis.load)
 
 
 def _after_peak(v: Array, peak: float) -> Mask:
@@ -218,20 +236,27 @@ def _window(axis: Axis, dt: float) -> int:
     return int(max(5, 2 * round(0.5 * max(SMOOTH / dt, float(samples))) + 1))
 
 
-def _part(q: Array, tau: Array, dt: float, windows: tuple[int, int]) -> Moved:
+def _part(
+    q: Array, tau: Array, dt: float, windows: tuple[int, int], known: Known, joint: int
+) -> Moved:
     """Rows of a joint's motion, smoothed, that say what it moves: those that surely slide, and that
-    are not beside a jump of the acceleration. ``windows``: rows that are smoothed over, and of a
-    rise to the peak.
+    are not beside a jump of the acceleration. Of the torque it is what a model leaves, where there
+    is one. ``windows``: rows that are smoothed over, and of a rise to the peak.
     """
     window, rise = windows
-    qd, qdd = (smoothed(q, window, dt, order) for order in (1, 2))
+    every_q, every_qd, every_qdd = (smoothed(q, window, dt, order) for order in range(3))
+    j = joint - 1
+    qd, qdd = every_qd[:, j], every_qdd[:, j]
     pace = np.abs(qd) / np.percentile(np.abs(qd), 99)
     surely = (pace > SURELY) | ((qd * qdd < 0) & (pace > LEAST))
     edge = np.arange(len(q))
     rows = surely & (pace < min(PEAK, 1.0 - 0.6 * window / rise))
     rows &= (edge > window) & (edge < len(q) - window)
     every = np.flatnonzero(rows)[:: max(1, window // 4)]
-    return Moved(smoothed(q, window)[every], qd[every], qdd[every], smoothed(tau, window)[every],
+    torque = smoothed(tau, window)[every]
+    if known.rigid is not None:
+        torque = torque - known.other(joint, every_q[every], every_qd[every], every_qdd[every])
+    return Moved(every_q[every, j], qd[every], qdd[every], torque,
                  np.cumsum(np.abs(np.diff(rows, prepend=False)))[every])  # fmt: skip
 
 
@@ -262,17 +287,9 @@ def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
     if load.uneven:
         result.values[f"uneven{j}"] = Estimate(load.uneven, load.weight_std, force)
     result.values[f"peak{j}"] = Estimate(axis.pace, 0.0, f"{unit}/s")
-    sliding = curve.slowing & (np.abs(v) > LEAST * axis.pace) & (np.abs(v) < PEAK * axis.pace)
-    up = np.sign(v[sliding])
-    A = np.stack([np.ones(len(up)), np.abs(v[sliding]), up], axis=1)
-    size = up * f[sliding]
-    solution = np.linalg.lstsq(A, size, rcond=None)[0]
-    left = size - A @ solution
-    # neighbouring points share their smoothing: each tenth of the speeds counts as one
-    scale = float(half_width(float(np.std(left)), 16) / NORMAL / 10**0.5)
-    result.values[f"level{j}"] = Estimate(float(solution[0]), scale, force)
-    slope = scale * 12**0.5 / axis.pace
-    result.values[f"slope{j}"] = Estimate(float(solution[1]), slope, f"{force} s/{unit}")
+    _report_line(result, axis, curve)
+    if curve.model is not None:
+        _report_model(result, axis, curve.model, load)
     if known.rigid is None and load.weighs and not load.uneven:
         result.warnings.append(
             f"Joint {j} carries up to {load.most:.3g} {force}. By motion alone that is not told"
@@ -283,6 +300,53 @@ def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
         result.warnings.append(
             f"Joint {j}: its inertia, {result.values[f'inertia{j}']}, is not told from zero."
         )
+
+
+def _report_line(result: Result, axis: Axis, curve: Curve) -> None:
+    """The line that friction ends in, where the joint slides and the line is no drive."""
+    j, force, v = axis.number, axis.force, curve.speed
+    sliding = curve.slowing & (np.abs(v) > LEAST * axis.pace) & (np.abs(v) < PEAK * axis.pace)
+    if sliding.sum() < FEWEST:
+        result.warnings.append(
+            f"Joint {j}: its friction is not told. It came to {np.abs(v).max(initial=0.0):.2g}"
+            f" {axis.unit}/s of the {axis.pace:.2g} {axis.unit}/s that were asked for, with a limit"
+            f" of {axis.torque:.3g} {force}: look at the recording for what holds it, or let the"
+            " machine declare a larger torque_max."
+        )
+        return
+    up = np.sign(v[sliding])
+    A = np.stack([np.ones(len(up)), np.abs(v[sliding]), up], axis=1)
+    size = up * curve.friction[sliding]
+    solution = np.linalg.lstsq(A, size, rcond=None)[0]
+    left = size - A @ solution
+    # neighbouring points share their smoothing: each tenth of the speeds counts as one
+    scale = float(half_width(float(np.std(left)), 16) / NORMAL / 10**0.5)
+    level = float(solution[0])
+    if level < -NORMAL * scale:
+        result.warnings.append(
+            f"Joint {j}: its friction is not told. It came out as {Estimate(level, scale, force)},"
+            " and none is below zero: inertia and weight are wrong by more than friction is. Look"
+            " at the model, or at the recording."
+        )
+        return
+    result.values[f"level{j}"] = Estimate(max(0.0, level), scale, force)
+    slope = Estimate(float(solution[1]), scale * 12**0.5 / axis.pace, f"{force} s/{axis.unit}")
+    result.values[f"slope{j}"] = slope
+
+
+def _report_model(result: Result, axis: Axis, model: Load, load: Load) -> None:
+    """What a model says that the motion contradicts."""
+    j, force = axis.number, axis.force
+    inertia = "kg m^2" if axis.unit == "rad" else "kg"
+    result.values[f"model_inertia{j}"] = Estimate(model.inertia, 0.0, inertia)
+    result.values[f"model_weight{j}"] = Estimate(model.most, 0.0, force)
+    moved = Estimate(load.inertia, load.inertia_std, inertia)
+    weight = Estimate(load.most, load.weight_std, force)
+    result.warnings.append(
+        f"Joint {j}: the model contradicts the motion. It says an inertia of {model.inertia:.4g}"
+        f" {inertia} and a weight of up to {model.most:.4g} {force}; the motion shows {moved} and"
+        f" {weight}. Friction is what is left beside those of the motion: correct the model."
+    )
 
 
 def _draw(curves: Mapping[int, tuple[Axis, Curve]], cycles: int, bench: Bench) -> str:

@@ -63,8 +63,8 @@ def breakaway_torque(
         raise RecordingError(
             f"joint {joint} did not break away: pushed by up to"
             f" {np.abs(rec['torque']).max():.3g} {axis.force} of its limit of"
-            f" {axis.torque:.3g} {axis.force}, of which at most {USED:.0%} are used. Let the machine"
-            " declare a larger torque_max, or look at the recording for what holds the joint"
+            f" {axis.torque:.3g} {axis.force}, of which at most {USED:.0%} are used. Let the"
+            " machine declare a larger torque_max, or look at the recording for what holds it"
         )
     twice = smoothed(held, 2 * samples + 1)
     return float(held.max()), float(LARGEST * np.std(held - twice))
