@@ -66,7 +66,10 @@ def high_speed(
         for joint in joints or known.axes:
             axis = known.axes[joint]
             axis = replace(axis, speeds=speeds or axis.speeds)
-            if why := _unfit(axis):
+            why = _unfit(axis)
+            if low is not None and f"level{joint}" not in low.values:
+                why = "low-speed does not tell its friction; the result of low-speed says why"
+            if why:
                 result.warnings.append(f"Joint {joint} is left out: {why}.")
                 continue
             try:

@@ -61,6 +61,11 @@ class Curve:
     load: Load
     model: Load | None = None
 
+    def slid(self, axis: Axis) -> Mask:
+        """Rows at which the joint surely slides."""
+        pace = np.abs(self.speed) / axis.pace
+        return self.slowing & (pace > LEAST) & (pace < PEAK)
+
 
 def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result:
     """Friction at low speed: a triangular velocity up and down, both ways, repeated and averaged.
@@ -207,8 +212,8 @@ def _moved(
         load = measured_load(parts, axis)
         std = float(np.hypot(load.weight_std, load.most * away))
         return replace(load, weight_std=std if load.weighs else load.weight_std), None
-    load = contradicting(parts, axis)
-    return (axis.load, None) if load is None else (load, axis.load)
+    shown = contradicting(parts, axis)
+    return (axis.load, None) if shown is None else (shown, axis.load)
 
 
 def _after_peak(v: Array, peak: float) -> Mask:
@@ -279,6 +284,15 @@ def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
     if known.program != PROGRAM:
         return
     j, force, unit, load = axis.number, axis.force, axis.unit, curve.load
+    result.values[f"peak{j}"] = Estimate(axis.pace, 0.0, f"{unit}/s")
+    if curve.slid(axis).sum() < FEWEST:
+        result.warnings.append(
+            f"Joint {j}: neither friction nor what it moves is told. Of the {axis.pace:.2g} {unit}/s"
+            f" that were asked for it came to {np.abs(v).max(initial=0.0):.2g}, with a limit of"
+            f" {axis.torque:.3g} {force}: look at the recording for what holds it, or let the"
+            " machine declare a larger torque_max."
+        )
+        return
     inertia = "kg m^2" if unit == "rad" else "kg"
     result.values[f"inertia{j}"] = Estimate(load.inertia, load.inertia_std, inertia)
     for name, value in (("", load.flat), ("_cos", load.cos), ("_sin", load.sin)):
@@ -286,7 +300,6 @@ def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
             result.values[f"weight{j}{name}"] = Estimate(value, load.weight_std, force)
     if load.uneven:
         result.values[f"uneven{j}"] = Estimate(load.uneven, load.weight_std, force)
-    result.values[f"peak{j}"] = Estimate(axis.pace, 0.0, f"{unit}/s")
     _report_line(result, axis, curve)
     if curve.model is not None:
         _report_model(result, axis, curve.model, load)
@@ -303,17 +316,9 @@ def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
 
 
 def _report_line(result: Result, axis: Axis, curve: Curve) -> None:
-    """The line that friction ends in, where the joint slides and the line is no drive."""
+    """The line that friction ends in, where it is no drive."""
     j, force, v = axis.number, axis.force, curve.speed
-    sliding = curve.slowing & (np.abs(v) > LEAST * axis.pace) & (np.abs(v) < PEAK * axis.pace)
-    if sliding.sum() < FEWEST:
-        result.warnings.append(
-            f"Joint {j}: its friction is not told. It came to {np.abs(v).max(initial=0.0):.2g}"
-            f" {axis.unit}/s of the {axis.pace:.2g} {axis.unit}/s that were asked for, with a limit"
-            f" of {axis.torque:.3g} {force}: look at the recording for what holds it, or let the"
-            " machine declare a larger torque_max."
-        )
-        return
+    sliding = curve.slid(axis)
     up = np.sign(v[sliding])
     A = np.stack([np.ones(len(up)), np.abs(v[sliding]), up], axis=1)
     size = up * curve.friction[sliding]

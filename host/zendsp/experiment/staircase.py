@@ -60,10 +60,10 @@ def breakaway_torque(
     edge = samples // 2
     held = (friction - axis.viscous * speed)[edge:-edge]
     if speed[edge:-edge].max() < AWAY * axis.pace:
+        most = float(np.abs(rec["torque"][rec["phase"] == PUSHING]).max())
         raise RecordingError(
-            f"joint {joint} did not break away: pushed by up to"
-            f" {np.abs(rec['torque']).max():.3g} {axis.force} of its limit of"
-            f" {axis.torque:.3g} {axis.force}, of which at most {USED:.0%} are used. Let the"
+            f"joint {joint} did not break away: pushed by up to {most:.3g} {axis.force} of its"
+            f" limit of {axis.torque:.3g} {axis.force}, of which at most {USED:.0%} are used. Let the"
             " machine declare a larger torque_max, or look at the recording for what holds it"
         )
     twice = smoothed(held, 2 * samples + 1)
