@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from zendsp.errors import RecordingError
-from zendsp.experiment.any_friction import fit_line
+from zendsp.experiment.any_friction import _report, fit_line
 from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.friction_curve import fit_curve
 from zendsp.experiment.motor import steady_means
 from zendsp.experiment.planar_arm import ARM, inertia_torque
+from zendsp.experiment.result import Result
 from zendsp.experiment.sliding import (
     Sliding,
     cannot_separate,
@@ -151,6 +152,26 @@ def test_friction_of_an_unknown_joint_is_the_line_that_it_reaches_at_high_speed(
     held = (np.abs(off) <= 1.0).mean(axis=0)
     assert held.min() >= 0.9
     assert np.std(off) > 0.15  # of the half width, 0.5 where the law is known: not far too wide
+
+
+def test_no_fall_is_stated_of_a_joint_without_friction_and_no_effect_that_a_model_refuses() -> None:
+    """Of a joint without any friction 0.003 N m of it fell with speed, to a level of -0.004."""
+    rng = np.random.default_rng(3)
+    below = 0
+    for _ in range(20):
+        joint = unknown_joint(rng, 0.0, 0.0)
+        # what the others' giving way leaves at the slow parts, as a Stribeck friction would
+        more = 0.003 * np.sign(joint.speed) * np.exp(-((joint.speed / 0.35) ** 2))
+        friction = np.sign(joint.speed) * 0.1 + 0.005 * joint.speed
+        found = fit_line(replace(joint, torque=joint.torque - friction + more), True)
+        assert found.excess == 0.0 or found.mean[0] > found.mean[2]
+        below += found.mean[0] < 0.0
+        _report(result := Result("friction", "", "light"), 1, "rad", found)
+        assert any("not told from zero" in text for text in result.warnings)
+        for effect in result.effects:
+            for name, value in effect.parameters.items():
+                assert value.value >= 0.0, (effect.kind, name)
+    assert below > 2, "the levels that chance makes negative are met"
 
 
 def test_friction_that_would_drive_a_heavy_joint_is_its_weight_where_a_ripple_hides_how_it_changes(

@@ -25,13 +25,16 @@ from zendsp.experiment import (
     put_into,
     run_experiment,
 )
+from zendsp.experiment.any_friction import _moves
 from zendsp.experiment.estimates import bump_means
+from zendsp.experiment.knowing import with_values
 from zendsp.experiment.lab import needed, told
+from zendsp.experiment.low_speed import ROWS
 from zendsp.experiment.mechanics import _durations, _way
 from zendsp.experiment.motor import sensor_step
 from zendsp.experiment.names import FORMER, result_file
 from zendsp.experiment.needs import Needs
-from zendsp.experiment.swing import Joint, _ends
+from zendsp.experiment.swing import NEEDED, Joint, _ends
 from zendsp.link import Target
 from zendsp.recording import Recording
 from zendsp_protocol.messages import JointInfo, MachineInfo
@@ -267,6 +270,39 @@ def test_the_result_of_another_machine_is_made_again_and_a_former_name_is_found(
     Result("friction", "x", "arm").save(tmp_path / "friction" / "result.toml")
     assert needed(lab, "friction", lambda lab: Result("friction", "now", "wam7")).title == "now"
     assert set(FORMER.values()) == set(EXPERIMENTS)
+
+
+def test_a_truncated_result_is_made_again_with_a_word(tmp_path: Path) -> None:
+    """A swing took what a result lacked for zero: without its weight it was planned to 0.8 rad."""
+    said: list[str] = []
+    lab = Lab(tmp_path, say=said.append)
+    whole = Result("mechanical", "now", "pendulum")
+    whole.values = {one[0]: Estimate(1.0) for one in NEEDED}
+    cut = Result("mechanical", "before", "pendulum", values={"inertia1": Estimate(1.0)})
+    (tmp_path / "mechanical").mkdir()
+    cut.save(tmp_path / "mechanical" / "result.toml")
+    assert with_values(lab, "mechanical", lambda lab: whole, NEEDED).title == "now"
+    assert "lacks coulomb1, viscous1, weight1 or weight_sine1" in said[-1]
+    assert with_values(lab, "mechanical", lambda lab: cut, NEEDED).title == "now", "it was kept"
+
+
+def test_slow_moves_fit_into_the_table_of_a_program(tmp_path: Path) -> None:
+    """Refused they were, with 1424340 elements for 180000."""
+    for speed_max in (10.0, 0.15, 0.02):
+        slow = replaced(SHAFT, speed_max=speed_max)
+        moves = _moves(slow, np.zeros(3), 1, 6, 1e-3)
+        assert moves.samples <= ROWS and round(1.0 / moves.sample_time, 9).is_integer()
+        assert np.abs(moves.qd).max() == pytest.approx(min(0.4 * speed_max, 0.8 / 0.6), rel=0.01)
+
+
+def test_a_model_that_an_experiment_makes_nothing_of_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "lift.toml"
+    file.write_text(MODEL)
+    for name in ("friction", "mechanical", "swing"):
+        refused = CliRunner().invoke(command, [name, "--model", str(file)])
+        assert isinstance(refused.exception, Refused)
+        assert f"{name} takes no model" in str(refused.exception)
+    assert EXPERIMENTS["low-speed"].takes_model
 
 
 def test_the_command_tells_what_each_needs_and_the_present_name(tmp_path: Path) -> None:

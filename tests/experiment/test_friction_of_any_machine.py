@@ -4,6 +4,7 @@ not know.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,9 +20,9 @@ from zendsp.experiment.circle import circle
 from zendsp.experiment.friction_curve import friction_curve
 from zendsp.experiment.high_speed import _unfit, high_speed
 from zendsp.experiment.joints import Known, Load, axis_of, load_of, rigid_of
-from zendsp.experiment.knowing import with_pushes
+from zendsp.experiment.knowing import with_loads, with_pushes
 from zendsp.experiment.low_speed import low_speed
-from zendsp.experiment.moved import Moved, measured_load
+from zendsp.experiment.moved import Moved, contradicting, measured_load
 from zendsp.experiment.plane import circle_of, fitting_circle, plane_of
 from zendsp.experiment.push import Pusher
 from zendsp.experiment.result import FoundEffect
@@ -43,6 +44,10 @@ frictionloss="1.5"/><geom fromto="0 0 0 0 0 -0.4" mass="2"/><body pos="0 0 -0.4"
 <geom fromto="0 0 0 0.3 0 0" mass="1"/></body></body></worldbody><actuator>
 <motor joint="shoulder" ctrlrange="-80 80"/><motor joint="elbow" ctrlrange="-30 30"/></actuator>
 </mujoco>"""
+PENDULUM = """<mujoco model="pend"><compiler angle="radian"/><worldbody><body><joint name="pivot"
+axis="0 1 0" armature="0.002" damping="0.004" frictionloss="0.03"/><inertial pos="0 0 -0.25"
+mass="0.5" diaginertia="0.003 0.003 0.0001"/></body></worldbody>
+<actuator><motor joint="pivot" ctrlrange="-1.5 1.5"/></actuator></mujoco>"""
 JOINT = JointInfo(
     name="j", position_min=-2.0, position_max=2.0, speed_max=6.0, torque_max=30.0,
     counts_per_unit=20000.0,
@@ -200,6 +205,100 @@ def test_a_weight_is_found_beside_friction_of_any_shape_and_none_where_there_is_
     both = measured_load(moved((4.0, 9.0), 0.6), axis)
     assert both.uneven == pytest.approx(0.6, abs=4 * both.weight_std)
     assert both.weight(np.array([0.6]))[0] == pytest.approx(8.385, abs=4 * both.weight_std)
+
+
+def left_by(model: Load, weight: tuple[float, float], uneven: float) -> list[Moved]:
+    """The same triangles with what a model leaves of the torque."""
+    return [
+        p._replace(tau=p.tau - model.inertia * p.qdd - model.weight(p.q))
+        for p in moved(weight, uneven)
+    ]
+
+
+def test_a_model_is_contradicted_by_a_load_and_not_by_friction_of_one_direction() -> None:
+    right = Load(0.3, cos=4.0, sin=9.0)
+    for uneven in (0.0, 0.6):
+        axis = axis_of(1, JOINT, 0.6, right, 2.0)
+        assert contradicting(left_by(right, (4.0, 9.0), uneven), axis) is None
+    for wrong in (replace(right, cos=4.4, sin=9.9), replace(right, inertia=0.33)):
+        axis = axis_of(1, JOINT, 0.6, wrong, 2.0)
+        shown = contradicting(left_by(wrong, (4.0, 9.0), 0.0), axis)
+        assert shown is not None and (shown.cos, shown.sin) == pytest.approx((4.0, 9.0), abs=0.05)
+        assert shown.inertia == pytest.approx(0.3, abs=4 * shown.inertia_std + 0.005)
+        one = np.ones((1, 1))
+        known = Known("m", {1: axis}, np.zeros(1), lambda q, qd, qdd, m=wrong.inertia: m * qdd)
+        taken = with_loads(known, {1: shown}).other(1, 0 * one, 0 * one, one)[0]
+        assert taken == pytest.approx(shown.inertia + shown.cos - wrong.cos)
+
+
+def test_of_a_slide_only_a_friction_that_would_drive_it_contradicts_a_models_weight() -> None:
+    info = replace_unit(JOINT)
+    for off, doubted in ((1.0, False), (4.0, True)):  # friction is 2.0 N and more
+        axis = axis_of(1, info, 0.6, Load(0.3, flat=10.0), 2.0)
+        shown = contradicting(left_by(Load(0.3), (0.0, 0.0), -off), axis)
+        assert (shown is not None) == doubted
+        if shown is not None:
+            assert shown.flat == pytest.approx(6.0, abs=4 * shown.weight_std + 0.02)
+
+
+def replace_unit(joint: JointInfo) -> JointInfo:
+    fields = {name: getattr(joint, name) for name in joint.__struct_fields__}
+    return JointInfo(**fields | {"unit": "m"})
+
+
+def test_a_wrong_model_is_told_and_friction_stays_that_of_the_machine(tmp_path: Path) -> None:
+    """A pendulum of 0.5 instead of 0.35 kg had a friction of -0.17 N m, and no warning."""
+    machine = PENDULUM.replace("0.5", "0.35")
+    (tmp_path / "pend.xml").write_text(machine)
+    with zendsp.local(
+        str(tmp_path / "pend.xml"), clock="fast", options=["--speed", "100"]
+    ) as target:
+        lab = Lab(tmp_path / "wrong", target, model=model_of(tmp_path, PENDULUM, 1))
+        wrong = low_speed(lab, cycles=2)
+        wrong.save(tmp_path / "wrong" / "low-speed" / "result.toml")
+        pushed = breakaway(lab, count=2)
+        lab = Lab(tmp_path / "right", target, model=model_of(tmp_path, machine, 1))
+        right = low_speed(lab, cycles=2)
+    for found in (wrong, right):
+        holds(found, "level1", 0.03, 0.05)
+    holds(wrong, "inertia1", 0.026875, 0.01)
+    assert wrong.values["model_inertia1"].value == pytest.approx(0.03625)
+    said = " ".join(wrong.warnings)
+    assert "0.03625 kg m^2" in said and "1.226 N m" in said and "0.858" in said
+    assert "contradicts" not in " ".join(right.warnings)
+    assert right.values["inertia1"].std == 0.0, "the model's"
+    assert pushed.values["breakaway1"].value == pytest.approx(0.03, abs=0.003)
+    holds(pushed, "weight1_sin", 0.858375, 0.01)
+
+
+STUCK = """<mujoco model="stuck"><compiler angle="radian"/><worldbody><body><joint name="a"
+axis="0 1 0" range="-2 2" frictionloss="30"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"
+mass="1"/></body></worldbody><actuator><motor joint="a" ctrlrange="-10 10"/></actuator></mujoco>"""
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_joint_that_does_not_move_is_refused_with_its_limit_and_what_to_do(
+    tmp_path: Path,
+) -> None:
+    """It was a division by zero, and numpy's warnings."""
+    (tmp_path / "stuck.xml").write_text(STUCK)
+    with zendsp.local(
+        str(tmp_path / "stuck.xml"), clock="fast", options=["--speed", "100"]
+    ) as target:
+        lab = Lab(tmp_path, target)
+        low = low_speed(lab, cycles=2)
+        assert set(low.values) == {"peak1", "place1"}, "nothing of it is told"
+        assert "limit of 10 N m" in low.warnings[0] and "torque_max" in low.warnings[0]
+        low.save(tmp_path / "low-speed" / "result.toml")
+        with pytest.raises(Refused, match=r"joint 1 .*limit of 10 N m.*torque_max"):
+            breakaway(lab, count=1)
+        with pytest.raises(Refused, match="the result of low-speed says why"):
+            high_speed(lab)
+
+
+def test_what_leaves_no_speed_for_a_push_is_named_with_its_value() -> None:
+    axis = with_pushes(axis_of(1, JOINT, 0.0, Load(0.1, sin=11.0), 1.5, 0.5))
+    assert re.search(r"torque_max of 30 N m, beside a weight of up to 11 .*0 rad/s", _unfit(axis))
 
 
 def test_pushes_keep_within_what_the_machine_declares() -> None:

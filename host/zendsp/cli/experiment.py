@@ -66,6 +66,7 @@ def command(
 
     Example:  zendsp experiment friction-curve --into examples/models/imi_planar.toml
     """
+    from zendsp.errors import Refused
     from zendsp.experiment import EXPERIMENTS, Lab, fit_model
 
     if name is None:
@@ -74,6 +75,11 @@ def command(
     check_writable(out)
     end_softly()
     names = list(EXPERIMENTS) if name == "all" else [_present(name)]
+    if model is not None and not any(EXPERIMENTS[each].takes_model for each in names):
+        raise Refused(
+            f"{names[0]} takes no model: it finds inertia and weight in the motion beside friction."
+            " Leave --model away, or take low-speed, which measures beside those of the model"
+        )
     if into is not None and not (target or connect):
         fit_model(names, into)  # before a machine is started
     with contextlib.ExitStack() as closing:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,7 @@ SHARE = 0.4  # … and of the range of the joint
 SPEED = 0.4  # of the largest speed
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
+PEAK = 1.875  # largest speed of an approach of length and duration 1
 REST = 0.3  # s, after each move
 FOLLOWS = 0.8  # of the speed of each part, at least; else the loop is made stiffer …
 STIFFER, TRIES = 3.0, 4  # … by so much, so often
@@ -119,7 +121,7 @@ def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
     stiffer: dict[str, Array] = {}
     for _ in range(TRIES + 1):
         rec = bench.record(
-            f"joint{joint}", PROGRAM, CHANNELS, reference=reference, before=2.0,
+            f"joint{joint}", PROGRAM, CHANNELS, reference=reference, before=_approach(bench),
             decimation=2 * stride,
             **stiffer,  # type: ignore[arg-type]
         )
@@ -134,6 +136,16 @@ def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
     raise Refused(
         f"{name}: does not follow its loop: let the machine declare a larger inertia of the joint"
     )
+
+
+def _approach(bench: Bench) -> float:
+    """Time in which any joint comes from wherever its moves ended to where the next ones begin at
+    less than its largest speed, s.
+    """
+    joints = bench.machine.joints
+    ways = [min(TRAVEL, SHARE * (j.position_max - j.position_min)) for j in joints]
+    paces = [SPEED * j.speed_max for j in joints]
+    return max(2.0, *(ceil(PEAK * w / v) for w, v in zip(ways, paces, strict=True) if v > 0.0))
 
 
 def fit_line(sliding: Sliding, may_weigh: bool) -> Friction:

@@ -287,8 +287,8 @@ def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
     result.values[f"peak{j}"] = Estimate(axis.pace, 0.0, f"{unit}/s")
     if curve.slid(axis).sum() < FEWEST:
         result.warnings.append(
-            f"Joint {j}: neither friction nor what it moves is told. Of the {axis.pace:.2g} {unit}/s"
-            f" that were asked for it came to {np.abs(v).max(initial=0.0):.2g}, with a limit of"
+            f"Joint {j}: neither friction nor what it moves is told. Of the {axis.pace:.2g}"
+            f" {unit}/s asked for it came to {np.abs(v).max(initial=0.0):.2g}, with a limit of"
             f" {axis.torque:.3g} {force}: look at the recording for what holds it, or let the"
             " machine declare a larger torque_max."
         )

@@ -26,6 +26,8 @@ class Experiment:
         Where it is: "module:function".
     models : bool
         Whether its result has something that a model file holds.
+    takes_model : bool
+        Whether it makes anything of a model file: beside what `needs` says, inertia and weight.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Experiment:
     title: str
     function: str
     models: bool = False
+    takes_model: bool = False
 
     def lacking(self, machine: MachineInfo, has_model: bool = False) -> str:
         """What this machine lacks for it, in a sentence; "" where it can be made."""
@@ -52,27 +55,27 @@ EXPERIMENTS = {
         Experiment(
             "breakaway", "imi_planar", Needs(),
             "Static friction of each joint: torque steps both ways from several positions.",
-            "breakaway:breakaway",
+            "breakaway:breakaway", takes_model=True,
         ),
         Experiment(
             "high-speed", "imi_planar", Needs(),
             "Friction of each joint at high speed: constant torque, open loop.",
-            "high_speed:high_speed",
+            "high_speed:high_speed", takes_model=True,
         ),
         Experiment(
             "low-speed", "imi_planar", Needs(),
             "Friction of each joint at low speed, inertia, weight: triangular velocity, averaged.",
-            "low_speed:low_speed",
+            "low_speed:low_speed", takes_model=True,
         ),
         Experiment(
             "friction-curve", "imi_planar", Needs(),
             "One friction curve of two polynomials through the three.",
-            "friction_curve:friction_curve", models=True,
+            "friction_curve:friction_curve", models=True, takes_model=True,
         ),
         Experiment(
             "circle", "imi_planar", Needs(least=2, model="with two joints that turn in one plane"),
             "Circle under inverse dynamics, compensated or not, machine and simulation.",
-            "circle:circle",
+            "circle:circle", takes_model=True,
         ),
         Experiment(
             "electrical", "pendulum", Needs("voltage", sensed=True),
@@ -92,7 +95,7 @@ EXPERIMENTS = {
         Experiment(
             "tracking", "wam7", Needs(model="with friction"),
             "Joint error of machine and simulation, each joint alone and all together.",
-            "tracking:tracking",
+            "tracking:tracking", takes_model=True,
         ),
     )
 }

@@ -63,8 +63,8 @@ def breakaway_torque(
         most = float(np.abs(rec["torque"][rec["phase"] == PUSHING]).max())
         raise RecordingError(
             f"joint {joint} did not break away: pushed by up to {most:.3g} {axis.force} of its"
-            f" limit of {axis.torque:.3g} {axis.force}, of which at most {USED:.0%} are used. Let the"
-            " machine declare a larger torque_max, or look at the recording for what holds it"
+            f" limit of {axis.torque:.3g} {axis.force}, of which at most {USED:.0%} are used. Let"
+            " the machine declare a larger torque_max, or look at the recording for what holds it"
         )
     twice = smoothed(held, 2 * samples + 1)
     return float(held.max()), float(LARGEST * np.std(held - twice))
