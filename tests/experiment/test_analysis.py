@@ -161,7 +161,7 @@ def test_no_fall_is_stated_of_a_joint_without_friction_and_no_effect_that_a_mode
     for _ in range(20):
         joint = unknown_joint(rng, 0.0, 0.0)
         # what the others' giving way leaves at the slow parts, as a Stribeck friction would
-        more = 0.003 * np.sign(joint.speed) * np.exp(-((joint.speed / 0.35) ** 2))
+        more = 0.003 * np.sign(joint.speed) * np.expm1(-((joint.speed / 0.35) ** 2))
         friction = np.sign(joint.speed) * 0.1 + 0.005 * joint.speed
         found = fit_line(replace(joint, torque=joint.torque - friction + more), True)
         assert found.excess == 0.0 or found.mean[0] > found.mean[2]

@@ -117,7 +117,8 @@ def contradicting(left: Sequence[Moved], axis: Axis) -> Load | None:
     more = measured_load(left, axis)
     heavier = abs(more.inertia) > max(SURELY * more.inertia_std, LEAST * model.inertia)
     if axis.unit != "rad" and not heavier:
-        level = float(np.median(np.concatenate([np.sign(p.qd) * p.tau for p in left])))
+        qd, tau = (np.concatenate([p[k] for p in left]) for k in (1, 3))
+        level = 0.5 * float(np.median(tau[qd > 0]) - np.median(tau[qd < 0]))
         more = more if abs(more.flat) > level else replace(more, flat=0.0)
     weight = max(float(np.abs(more.weight(p.q)).max(initial=0.0)) for p in left)
     if not heavier and weight <= max(SURELY * more.weight_std, LEAST * model.most):
