@@ -226,7 +226,7 @@ def load_of(rigid: Rigid, pose: Array, joint: int, slides: bool) -> Load:
     rest = rigid(q, still, still)[:, joint - 1]
     inertia = float(rigid(q[3:], still[3:], push[3:])[0, joint - 1] - rest[3])
     if slides:
-        return Load(inertia, flat=float(rest[3]))
+        return Load(inertia, flat=round(float(rest[3]), 12) + 0.0)
     flat = 0.5 * (rest[0] + rest[2])
     parts = np.round([flat, rest[0] - flat, rest[1] - flat], 12) + 0.0
     return Load(inertia, *parts.tolist())
