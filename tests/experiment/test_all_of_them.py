@@ -59,7 +59,7 @@ def test_a_swing_without_its_extra_says_so_before_anything_moves(
         raise Refused("the optimal swing needs casadi: pip install 'zendsp[swing]'")
 
     monkeypatch.setattr(swing, "need", lacks)
-    monkeypatch.setattr(swing, "needed", lambda *_: moved.append("mechanical"))
+    monkeypatch.setattr(swing, "with_values", lambda *_: moved.append("mechanical"))
     lab: Any = SimpleNamespace(machine_of=lambda _: "pivot", shipped=lambda _: "")
     with pytest.raises(Refused, match="needs casadi"):
         swing.swing(lab)
