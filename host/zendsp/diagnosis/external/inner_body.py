@@ -28,7 +28,7 @@ PARTS = (
     " MJCF"
 )
 
-OF_BODIES = ("inertia", "coriolis")  # laws of a coupling
+BY_INERTIA = ("inertia", "coriolis")  # laws of a coupling
 
 
 def like_a_part(effect: str) -> bool:
@@ -106,7 +106,7 @@ def _of_the_mechanism(d: Diagnosis) -> Diagnosis:
     """The diagnosis without claimed couplings by inertia: what a joint feels of another one's
     motion comes from the bodies between them, and no joint has a law of its own for it.
     """
-    felt = [f for f in d.findings if f.effect == "coupling" and f.numbers.get("law") in OF_BODIES]
+    felt = [f for f in d.findings if f.effect == "coupling" and f.numbers.get("law") in BY_INERTIA]
     if not felt:
         return d
     rest = tuple(f for f in d.findings if f not in felt)
