@@ -26,6 +26,7 @@ from zendsp.experiment.sliding import (
     fit_friction,
     found_friction,
 )
+from zendsp.experiment.watch import widen
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
 from zendsp_protocol.views import with_std
@@ -74,6 +75,8 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
             found = fit_line(sliding, all_joints[joint - 1].unit == "rad")
             curves[joint] = (sliding.points(found.free), found)
             _report(result, joint, all_joints[joint - 1].unit, found)
+            names = [f"{name}{joint}" for name in ("inertia", "coulomb", "viscous")]
+            widen(result, joint, bench.seen, bench.inertias, names, bench.seen[joint].quick)
         result.recordings, result.target = bench.recordings, bench.where
         result.figure = _draw(curves, {i: j.unit for i, j in enumerate(all_joints, 1)}, bench)
     return result

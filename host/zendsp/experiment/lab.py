@@ -19,6 +19,7 @@ from zendsp.errors import RecordingError, Refused, ZendspError
 from zendsp.experiment.names import result_file
 from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
+from zendsp.experiment.watch import Held, Seen, check, guarded, look
 from zendsp.here.stopped import ended
 from zendsp.link import Target
 from zendsp.link.put_back import GONE, Loaded, kept
@@ -189,6 +190,8 @@ class Bench:
         self._enabled = enabled  # by somebody: again after each load, which switches them off
         self.recordings: list[str] = []
         self.loaded: object = None
+        self.seen: dict[int, Seen] = {}  # of each joint in the latest recording
+        self.inertias = np.zeros(0)  # of each joint, as the machine declares them
 
     @property
     def machine(self) -> MachineInfo:
@@ -245,7 +248,8 @@ class Bench:
         ------
         Refused
             A limit tripped; the message says which, and the recording is kept as
-            ``name_ended.npz``. So is one that Ctrl-C ends, or a program that crashes.
+            ``name_ended.npz``. So is one that Ctrl-C ends, or a program that crashes. Or a drive
+            was at its limit, or a joint that was to be held gave way too far.
         """
         self.say(name)
         target = self.target
@@ -264,7 +268,8 @@ class Bench:
         if seconds is None:
             raise ZendspError(f"recording {name}: give seconds, or a reference")
         try:
-            with kept(target, [], moves=True):
+            held = Held.by(reference, values)
+            with guarded(target, name, held), kept(target, [], moves=True):
                 recording = target.acquire(
                     channels, seconds=seconds, decimation=decimation, start=True, note=name,
                     pauses=False,
@@ -278,7 +283,20 @@ class Bench:
                 self._keep_part(name, str(error) or type(error).__name__)
             raise
         self._keep(recording, name)
+        self._watch(recording, name, reference, held)
         return recording
+
+    def _watch(
+        self, recording: Recording, name: str, reference: Reference | None, held: Held
+    ) -> None:
+        """Look at every joint, and refuse what is no measurement."""
+        if not self.inertias.size and "J" in recording.parameters:
+            self.inertias = np.atleast_1d(np.asarray(recording.parameters["J"], dtype=np.float64))
+        if not held.moving:
+            return
+        limits = self.target.limits()
+        self.seen = look(recording, reference, held, limits.torque_max)
+        check(name, self.seen, self.machine.joints, held, limits)
 
     def _make_ready(self, name: str) -> None:
         """Home the machine where the load has forgotten the homing, and enable drives that were

@@ -20,6 +20,7 @@ from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.moved import Moved, contradicting, measured_load
 from zendsp.experiment.push import travel_time
 from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.watch import Seen, stood, widen
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp.reference.profiles import integrate_velocity, make_grid
@@ -86,6 +87,7 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
     title = "of the planar arm " if arm is not None else ""
     result = Result("low-speed", f"Friction {title}at low speed", machine)
     curves: dict[int, tuple[Axis, Curve]] = {}
+    seen: dict[int, dict[int, Seen]] = {}
     with lab.bench(result.name) as bench:
         known = arm or first_look(bench, lab)
         period = 1e-3 if arm is not None else 1.0 / bench.target.status().rate_hz
@@ -96,10 +98,16 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
                 f"joint{joint}", known.program, ["play_time", "q", "tau"], decimation=motion.stride,
                 reference=motion.reference, before=_approach(known, motion), **known.values,
             )
+            stood(f"joint{joint}", joint, bench.seen, bench.machine.joints[joint - 1])
+            seen[joint] = bench.seen
             curves[joint] = axis, friction_curve(rec, known, axis, motion)
         result.recordings, result.target = bench.recordings, bench.where
         for axis, curve in curves.values():
             _report(result, known, axis, curve)
+            j = axis.number
+            if known.program == PROGRAM:
+                names = [f"{name}{j}" for name in ("inertia", "level", "slope")]
+                widen(result, j, seen[j], bench.inertias, names, seen[j][j].quick)
             np.savez(
                 bench.folder / f"curve{axis.number}.npz", speed=curve.speed,
                 friction=curve.friction, slowing=curve.slowing,

@@ -20,6 +20,7 @@ from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.result import Cell, Estimate, Result
 from zendsp.experiment.sliding import ACTS, Friction, Sliding, found_friction
+from zendsp.experiment.watch import firmer, widen
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
@@ -90,6 +91,9 @@ def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
             found = fit_line(pieces, told[joint - 1].unit == "rad")
             curves[joint] = pieces, found
             _report(result, joint, told[joint - 1].unit, found)
+            mass = "inertia" if told[joint - 1].unit == "rad" else "mass"
+            names = [f"{name}{joint}" for name in (mass, "coulomb", "viscous")]
+            widen(result, joint, bench.seen, bench.inertias, names, bench.seen[joint].quickest)
         if len(told) == 1:
             _of_one_joint(result, told[0].unit, curves[1][1])
         result.recordings, result.target = bench.recordings, bench.where
@@ -125,6 +129,10 @@ def _measure(bench: Bench, joint: int, place: Array) -> Sliding:
             )
         tries += 1  # a light joint with much friction hardly gives way to its loop
         inertias[joint - 1] *= STIFFER
+        rec, moves = moved(gentle, calm, travel / 4.0, J=inertias)
+    told, rate = bench.machine.joints, bench.target.status().rate_hz
+    while firm := firmer(bench.seen, joint, told, rate, inertias / bench.inertias):
+        inertias[[j - 1 for j in firm]] *= STIFFER
         rec, moves = moved(gentle, calm, travel / 4.0, J=inertias)
     found = _inertia(weak_pieces(rec, moves, joint)) or 0.0
     inertias[joint - 1] = max(inertias[joint - 1], found)

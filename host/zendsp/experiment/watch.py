@@ -1,0 +1,310 @@
+"""Watches the joints of an experiment: a drive at its limit, and held joints that give way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import Refused, ZendspError
+from zendsp.experiment.result import Estimate, FoundEffect, Result
+from zendsp.link import Target
+from zendsp.link.outside import positions
+from zendsp.recording import Recording
+from zendsp.reference import Reference
+from zendsp_protocol.messages import JointInfo, Limits, Trip
+from zendsp_protocol.states import TripReason
+
+Array = npt.NDArray[np.float64]
+
+# The numbers behind these: docs/measurements/experiments.md, "Joints that are held".
+AT_LIMIT = 0.03  # of the rows, that a command may be at its limit
+UNSAFE = 0.1  # of its range, that a held joint may be pushed off its place to either side
+MATTERS = 0.05  # of the way of the joint that moves, from which a held one is named
+FREE = 1e9  # rad or m: instead of an infinite limit, which no message can set
+LARGER = 4.0  # times, that the motion after the gentle one is
+STIFFER = 3.0  # times, that the loop of a held joint is made
+# rad/s, crossover of the speed loop of joint_pd.c at 3 Hz; and what a loop bears, times the rate:
+# two samples of delay are then a quarter of a radian
+LOOP, BEARS = 4.0 * np.pi * 3.0, 0.125
+STANDS = 0.5  # of its way: a joint that moves less was to move and did not
+
+
+@dataclass(frozen=True)
+class Held:
+    """Joints that an experiment holds, by their number from 1, and where; and those that move."""
+
+    places: Mapping[int, float]
+    moving: tuple[int, ...]
+
+    @classmethod
+    def by(cls, reference: Reference | None, values: Mapping[str, Any]) -> Held:
+        """What a reference holds, or a push; nothing where neither is given."""
+        if reference is not None:
+            still = np.ptp(reference.q, axis=0) <= 0.0
+            first = reference.q[0]
+        elif "place" in values and "joint" in values:
+            first = np.atleast_1d(np.asarray(values["place"], dtype=np.float64))
+            still = np.arange(1, len(first) + 1) != values["joint"]
+        else:
+            return cls({}, ())
+        places = {j: float(x) for j, x in enumerate(first, 1) if still[j - 1]}
+        return cls(places, tuple(j for j in range(1, len(first) + 1) if j not in places))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a recording shows of one joint.
+
+    Attributes
+    ----------
+    at_limit : float
+        Share of the rows with the command at its limit.
+    way, wanted : float
+        How far it moved, and was to move, rad or m.
+    away : float
+        The farthest from where it was to be, rad or m.
+    fast, quick, quickest : float
+        The reference's largest speed, and the mean and the largest size of its acceleration while
+        it moves; rad, s (m, s of a slide).
+    """
+
+    at_limit: float
+    way: float
+    wanted: float
+    away: float
+    fast: float = 0.0
+    quick: float = 0.0
+    quickest: float = 0.0
+
+
+def look(
+    rec: Recording, reference: Reference | None, held: Held, limits: Sequence[float]
+) -> dict[int, Seen]:
+    """What a recording shows of every joint, from when it was to follow; by its number."""
+    n = len(limits)
+    if "q" not in rec or not held.moving:
+        return {}
+    rows, wanted = _rows(rec, reference, held, n)
+    q = rec["q"].reshape(-1, n)[rows]
+    if not len(q):
+        return {}
+    tau = np.abs(rec["tau"].reshape(-1, n)[rows]) if "tau" in rec else np.zeros_like(q)
+    full = (tau >= np.array(limits) * (1.0 - 1e-6)).mean(axis=0)
+    way, off = np.ptp(q, axis=0), np.abs(q - wanted[: len(q)]).max(axis=0)
+    asked = np.ptp(wanted, axis=0)
+    paces = _paces(reference, n)
+    told = held.places if reference is None else range(1, n + 1)
+    columns = np.stack([full, way, asked, off, *paces], axis=1)
+    return {j: Seen(*columns[j - 1].tolist()) for j in told}
+
+
+def _rows(
+    rec: Recording, reference: Reference | None, held: Held, n: int
+) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Rows in which the joints were to follow, and where they were to be in each."""
+    if reference is not None and "play_time" in rec:
+        t = rec["play_time"]
+        rows = (t >= 0.0) & (t <= reference.duration)
+        at = np.arange(reference.samples) * reference.sample_time
+        return rows, np.stack([np.interp(t[rows], at, x) for x in reference.q.T], axis=1)
+    rows = (rec["phase"] >= 1) & (rec["phase"] <= 2) if "phase" in rec else np.ones(len(rec), bool)
+    wanted = rec["q"].reshape(-1, n)[rows].copy()
+    for j, place in held.places.items():
+        wanted[:, j - 1] = place
+    return rows, wanted
+
+
+def _paces(reference: Reference | None, n: int) -> tuple[Array, Array, Array]:
+    """`Seen.fast`, `Seen.quick` and `Seen.quickest` of every joint."""
+    if reference is None:
+        return np.zeros(n), np.zeros(n), np.zeros(n)
+    pace = np.abs(reference.qd)
+    fast = pace.max(axis=0)
+    moves = pace > 1e-3 * fast
+    gains = np.abs(reference.qdd) * moves
+    return fast, gains.sum(axis=0) / np.maximum(moves.sum(axis=0), 1), gains.max(axis=0)
+
+
+def check(
+    name: str, seen: Mapping[int, Seen], joints: Sequence[JointInfo], held: Held, limits: Limits
+) -> None:
+    """Refuse a recording in which a command was at its limit, or a held joint gave way too far.
+
+    Raises
+    ------
+    Refused
+    """
+    for j, one in seen.items():
+        own = joints[j - 1]
+        force = "N m" if own.unit == "rad" else "N"
+        if one.at_limit > AT_LIMIT and own.command in ("torque", "force"):
+            does = f"is held by {one.away:.3g} {own.unit} off its place"
+            if j in held.moving:
+                does = f"moves {one.way:.3g} of {one.wanted:.3g} {own.unit}"
+            raise Refused(
+                f"{name}: the command of joint {j} ({own.name}) is at its limit of"
+                f" {limits.torque_max[j - 1]:g} {force} in {one.at_limit:.0%} of the samples, and"
+                f" the joint {does}: friction or weight take more than the drive gives. Nothing is"
+                " stated. Put the joint where it weighs less, or raise the limit if the drive bears"
+                " it"
+            )
+        room = own.position_max - own.position_min
+        if j in held.places and one.away > UNSAFE * room:
+            raise Refused(f"{name}: {too_far(own, j, held, one.away)}")
+
+
+def too_far(own: JointInfo, joint: int, held: Held, away: float) -> str:
+    """A sentence on a held joint that is off its place."""
+    moving = " and ".join(f"joint {j}" for j in held.moving)
+    room = own.position_max - own.position_min
+    return (
+        f"joint {joint} ({own.name}) was to be held while {moving} moves, and gave way by"
+        f" {away:.3g} {own.unit}, {away / room:.0%} of its range of {room:.3g} {own.unit}"
+        f" ({UNSAFE:.0%} are allowed). No larger move is made. Let the machine declare a larger"
+        " inertia of it (its loop is then stiffer), or fix it in its place"
+    )
+
+
+@contextmanager
+def guarded(target: Target, name: str, held: Held) -> Iterator[None]:
+    """A block in which a held joint that gives way too far trips the target at once: its limits of
+    position are tightened about its place, and about where it stands now. Then they are as before.
+
+    Raises
+    ------
+    Refused
+        It tripped so.
+    """
+    infos, before = target.machine().joints, target.limits()
+    here = np.atleast_1d(np.asarray(positions(target.status(), infos), dtype=np.float64))
+    low, high = (np.clip(x, -FREE, FREE) for x in (before.position_min, before.position_max))
+    least, most = low.copy(), high.copy()
+    for j, place in held.places.items():
+        room = UNSAFE * (infos[j - 1].position_max - infos[j - 1].position_min)
+        least[j - 1] = max(low[j - 1], min(place, here[j - 1]) - room)
+        most[j - 1] = min(high[j - 1], max(place, here[j - 1]) + room)
+    if (least == low).all() and (most == high).all():
+        yield
+        return
+    target.set_limits(position_min=least.tolist(), position_max=most.tolist())
+    try:
+        yield
+    except ZendspError as error:
+        trip = target.status().trip if target.alive else None
+        if trip is not None and (said := _gave_way(trip, infos, held)):
+            raise Refused(f"{name}: {said}. The machine stopped: acknowledge it first") from error
+        raise
+    finally:
+        with suppress(ZendspError):  # a target that is gone, or another program's
+            target.set_limits(position_min=low.tolist(), position_max=high.tolist())
+
+
+def _gave_way(trip: Trip, infos: Sequence[JointInfo], held: Held) -> str:
+    """A sentence where a trip is that of a held joint; else ""."""
+    place = held.places.get(trip.joint)
+    if trip.reason != TripReason.POSITION or place is None:
+        return ""
+    return too_far(infos[trip.joint - 1], trip.joint, held, abs(trip.value - place))
+
+
+def firmer(
+    seen: Mapping[int, Seen], joint: int, joints: Sequence[JointInfo], rate_hz: float, stiff: Array
+) -> list[int]:
+    """Held joints whose loop is to be made stiffer after a gentle motion, and whose sampling allows
+    it.
+
+    Parameters
+    ----------
+    stiff : ndarray
+        How much stiffer the loop of each joint is than joint_pd.c's own.
+
+    Raises
+    ------
+    Refused
+        One gives way so far that the next, larger motion would take it too far, and its loop cannot
+        be made stiffer.
+    """
+    held = Held({k: 0.0 for k in seen if k != joint}, (joint,))
+    firm = []
+    for k in held.places:
+        one, own = seen[k], joints[k - 1]
+        unsafe = LARGER * one.away > UNSAFE * (own.position_max - own.position_min)
+        if not unsafe and one.way <= MATTERS * seen[joint].way:
+            continue
+        if LOOP * STIFFER * stiff[k - 1] <= BEARS * rate_hz:
+            firm.append(k)
+        elif unsafe:
+            raise Refused(too_far(own, k, held, one.away))
+    return firm
+
+
+def stood(name: str, joint: int, seen: Mapping[int, Seen], own: JointInfo) -> None:
+    """Refuse a recording in which a joint that was to move did not.
+
+    Raises
+    ------
+    Refused
+    """
+    one = seen[joint]
+    if one.way < STANDS * one.wanted:
+        raise Refused(
+            f"{name}: joint {joint} ({own.name}) was to move {one.wanted:.3g} {own.unit} and moved"
+            f" {one.way:.3g}, with a command below its limit: its loop is too weak for its"
+            " friction. Nothing is stated. Let the machine declare a larger inertia of the joint"
+        )
+
+
+def widen(
+    result: Result, joint: int, seen: Mapping[int, Seen], inertias: Array, names: Sequence[str],
+    acceleration: float,
+) -> None:
+    """Add to the numbers of a joint what held joints that gave way may have changed of them, and
+    name those that gave way by enough to matter.
+
+    A held joint k that goes along by a share s of the way takes M_jk s qdd of the torque of joint
+    j. M is positive definite, so |M_jk| <= sqrt(M_jj M_kk). Friction is off by that, its slope by
+    that over the speed.
+
+    Parameters
+    ----------
+    inertias : ndarray
+        Of every joint, as the machine declares them.
+    names : sequence of str
+        Keys of ``result.values``: the inertia (may be missing), friction's level and its slope.
+    acceleration : float
+        Of the rows that they are measured by.
+    """
+    one = seen[joint]
+    said = [result.values[names[0]].value] if names[0] in result.values else []
+    own = max([*said, float(inertias[joint - 1])])
+    off = 0.0
+    for k, other in seen.items():
+        share = other.way / max(one.way, 1e-12)
+        if k == joint:
+            continue
+        off += share * (own * float(inertias[k - 1])) ** 0.5
+        if share > MATTERS:
+            result.warnings.append(
+                f"Joint {k} was to be held while joint {joint} moved, and gave way by {share:.0%}"
+                f" of its way: the numbers of joint {joint} are as uncertain as that may have"
+                " changed them. Let the machine declare a larger inertia of it (its loop is then"
+                " stiffer), or fix it in its place."
+            )
+    torque = off * acceleration
+    more = dict(zip(names, (off, torque, torque / max(one.fast, 1e-12)), strict=True))
+    for key in more.keys() & result.values.keys():
+        result.values[key] = _wider(result.values[key], more[key])
+    parts = {"level": torque, "coefficient": more[names[2]]}
+    for at, effect in enumerate(result.effects):
+        if effect.joint == joint and effect.kind in ("coulomb", "viscous"):
+            parameters = {n: _wider(e, parts.get(n, 0.0)) for n, e in effect.parameters.items()}
+            result.effects[at] = FoundEffect(effect.kind, joint, parameters)
+
+
+def _wider(e: Estimate, more: float) -> Estimate:
+    return replace(e, std=float(np.hypot(e.std, more)))
