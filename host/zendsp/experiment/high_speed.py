@@ -18,6 +18,7 @@ from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import ACTS, low_speed
 from zendsp.experiment.push import BRAKING, PUSHING, Pusher, columns
 from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.watch import name_yielding
 
 CERTAIN = 0.3  # of the friction: what may be uncertain of a weight that is taken off
 TRIES = 5  # at a larger torque, of a joint that does not move
@@ -29,14 +30,15 @@ FROM, TO = (0.0625, 0.3125), (0.719, 0.969)  # of the second half of a way: a pa
 
 
 class Point(NamedTuple):
-    """Mean speed, friction and acceleration over a part of a way; and how far the other joints were
-    from their places, rad.
+    """Mean speed, friction and acceleration over a part of a way; how far the other joints were
+    from their places, rad; and the way.
     """
 
     speed: float
     friction: float
     acceleration: float
     others: float
+    way: float
 
 
 def high_speed(
@@ -82,6 +84,10 @@ def high_speed(
             raise Refused(f"{result.name}: no joint could be measured. {why}")
         for joint, each in points.items():
             _report(result, known.axes[joint], each)
+            way = min(abs(p.way) for p in each)
+            for k in known.axes.keys() - {joint}:
+                most = max(push.get(k, 0.0) for push in pusher.gave[joint])
+                name_yielding(result, joint, way, {k: most})
         if arm is not None and 1 in points:
             result.warnings.append(
                 "Joint 1 crosses its range of 4 rad before its transient of 0.75 s has quite ended:"
@@ -196,7 +202,7 @@ def _steady(
     friction = (tau - known.other(axis.number, q[rows], v, a)).mean()
     away = np.delete(q[rows] - known.pose, j, axis=1)
     others = 0.0 if known.rigid is not None else float(np.abs(away).max(initial=0.0))
-    return Point(float(slope), float(friction), float(2 * quadratic), others)
+    return Point(float(slope), float(friction), float(2 * quadratic), others, end - start)
 
 
 def _held(known: Known) -> dict[str, list[float]]:

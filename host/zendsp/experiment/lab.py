@@ -31,6 +31,7 @@ from zendsp_protocol.states import Clock, DriveState, ProgramState
 
 Say = Callable[[str], None]
 IDLE = {"idle.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'}
+HOLDS = "joint_pd.c"  # without a reference it holds every joint where it stands
 BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
 
 
@@ -283,6 +284,8 @@ class Bench:
                 self._keep_part(name, str(error) or type(error).__name__)
             raise
         self._keep(recording, name)
+        if program == HOLDS and reference is None:
+            held = Held(dict(enumerate(np.atleast_1d(recording["q"][0]).tolist(), start=1)), ())
         self._watch(recording, name, reference, held)
         return recording
 
@@ -292,7 +295,7 @@ class Bench:
         """Look at every joint, and refuse what is no measurement."""
         if not self.inertias.size and "J" in recording.parameters:
             self.inertias = np.atleast_1d(np.asarray(recording.parameters["J"], dtype=np.float64))
-        if not held.moving:
+        if (not held.places and not held.moving) or "q" not in recording.names:
             return
         limits = self.target.limits()
         self.seen = look(recording, reference, held, limits.torque_max)

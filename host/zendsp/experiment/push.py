@@ -29,6 +29,7 @@ class Pusher:
 
     def __init__(self, bench: Bench, known: Known) -> None:
         self.bench, self.known = bench, known
+        self.gave: dict[int, list[dict[int, float]]] = {}  # way of each held joint, of each push
         self.stands: Array = known.pose if known.stands is None else known.stands
 
     def push(
@@ -54,6 +55,7 @@ class Pusher:
             joint=joint, direction=direction, place=goal, travel_time=travel, rest_time=REST_S,
             **given,
         )
+        self.gave.setdefault(joint, []).append({k: s.way for k, s in self.bench.seen.items()})
         self.stands = rec["q"].reshape(len(rec), -1)[-1]
         if not (rec["phase"] == PUSHING).any():
             raise RecordingError(

@@ -31,6 +31,7 @@ STIFFER = 3.0  # times, that the loop of a held joint is made
 # rad/s, crossover of the speed loop of joint_pd.c at 3 Hz; and what a loop bears, times the rate:
 # two samples of delay are then a quarter of a radian
 LOOP, BEARS = 4.0 * np.pi * 3.0, 0.125
+FIX = "Let the machine declare a larger inertia of it (its loop is stiffer then), or fix it"
 STANDS = 0.5  # of its way: a joint that moves less was to move and did not
 
 
@@ -85,10 +86,10 @@ class Seen:
 def look(
     rec: Recording, reference: Reference | None, held: Held, limits: Sequence[float]
 ) -> dict[int, Seen]:
-    """What a recording shows of every joint, from when it was to follow; by its number."""
+    """What a recording shows of every joint, from when it was to follow; by its number. Of a push
+    the joints that are held.
+    """
     n = len(limits)
-    if "q" not in rec or not held.moving:
-        return {}
     rows, wanted = _rows(rec, reference, held, n)
     q = rec["q"].reshape(-1, n)[rows]
     if not len(q):
@@ -143,7 +144,7 @@ def check(
         own = joints[j - 1]
         force = "N m" if own.unit == "rad" else "N"
         if one.at_limit > AT_LIMIT and own.command in ("torque", "force"):
-            does = f"is held by {one.away:.3g} {own.unit} off its place"
+            does = f"was to be held and gave way by {one.away:.3g} {own.unit}"
             if j in held.moving:
                 does = f"moves {one.way:.3g} of {one.wanted:.3g} {own.unit}"
             raise Refused(
@@ -160,13 +161,13 @@ def check(
 
 def too_far(own: JointInfo, joint: int, held: Held, away: float) -> str:
     """A sentence on a held joint that is off its place."""
-    moving = " and ".join(f"joint {j}" for j in held.moving)
+    moves = " and ".join(f"joint {j}" for j in held.moving)
     room = own.position_max - own.position_min
     return (
-        f"joint {joint} ({own.name}) was to be held while {moving} moves, and gave way by"
+        f"joint {joint} ({own.name}) was to be held while {moves} moves, and gave way by"
         f" {away:.3g} {own.unit}, {away / room:.0%} of its range of {room:.3g} {own.unit}"
-        f" ({UNSAFE:.0%} are allowed). No larger move is made. Let the machine declare a larger"
-        " inertia of it (its loop is then stiffer), or fix it in its place"
+        f" ({UNSAFE:.0%} are allowed). No larger move is made. {FIX}; where its command is at its"
+        " limit, put it where it weighs less"
     )
 
 
@@ -259,6 +260,19 @@ def stood(name: str, joint: int, seen: Mapping[int, Seen], own: JointInfo) -> No
         )
 
 
+def name_yielding(
+    result: Result, joint: int, way: float, others: Mapping[int, float]
+) -> None:
+    """Warn of held joints that gave way by enough to matter, by the way of each."""
+    for k, other in others.items():
+        if other > MATTERS * way:
+            result.warnings.append(
+                f"Joint {k} was to be held while joint {joint} moved, and gave way by"
+                f" {other / max(way, 1e-12):.0%} of its way: the numbers of joint {joint} are as"
+                f" uncertain as that may have changed them. {FIX}."
+            )
+
+
 def widen(
     result: Result, joint: int, seen: Mapping[int, Seen], inertias: Array, names: Sequence[str],
     acceleration: float,
@@ -288,13 +302,8 @@ def widen(
         if k == joint:
             continue
         off += share * (own * float(inertias[k - 1])) ** 0.5
-        if share > MATTERS:
-            result.warnings.append(
-                f"Joint {k} was to be held while joint {joint} moved, and gave way by {share:.0%}"
-                f" of its way: the numbers of joint {joint} are as uncertain as that may have"
-                " changed them. Let the machine declare a larger inertia of it (its loop is then"
-                " stiffer), or fix it in its place."
-            )
+    ways = {k: other.way for k, other in seen.items() if k != joint}
+    name_yielding(result, joint, one.way, ways)
     torque = off * acceleration
     more = dict(zip(names, (off, torque, torque / max(one.fast, 1e-12)), strict=True))
     for key in more.keys() & result.values.keys():

@@ -1,0 +1,168 @@
+"""What an experiment does where a drive is at its limit, or a held joint gives way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import zendsp
+from zendsp.errors import Refused
+from zendsp.experiment import Estimate, Lab, Result, run_experiment
+from zendsp.experiment.watch import Held, Seen, firmer, guarded, name_yielding, stood, widen
+from zendsp.link import Target
+from zendsp.recording import Recording
+from zendsp.reference import Reference
+from zendsp_protocol.messages import JointInfo
+from zendsp_protocol.states import TripReason
+
+# the upright outer link is held by 0.025 N m/rad, and weighs as much as that at 0.4 rad
+LIGHT = """<mujoco model="light"><compiler angle="radian"/><worldbody><body pos="0 0 0.5">
+<joint name="a" axis="0 1 0" range="-1 1"/>
+<inertial pos="0 0 0.1" mass="0.1" diaginertia="0.0002 0.0002 0.0001"/><body pos="0 0 0.2">
+<joint name="b" axis="0 1 0" range="-0.3 0.3"/>
+<inertial pos="0 0 0.05" mass="0.02" diaginertia="0.00002 0.00002 0.00001"/></body></body>
+</worldbody><actuator><motor joint="a" ctrlrange="-2 2"/><motor joint="b" ctrlrange="-1 1"/>
+</actuator></mujoco>"""
+COUPLED = """<mujoco model="coupled"><compiler angle="radian"/><worldbody><body>
+<joint name="j1" axis="0 0 1" range="-2.5 2.5" armature="0.5" damping="1.5" frictionloss="3"/>
+<inertial pos="0.2 0 0" mass="5" diaginertia="0.01 0.08 0.08"/><body pos="0.4 0 0">
+<joint name="j2" axis="0 0 1" range="-2.5 2.5" armature="0.02" damping="0.5" frictionloss="1"/>
+<inertial pos="0.15 0 0" mass="6" diaginertia="0.01 0.1 0.1"/></body></body></worldbody>
+<actuator><motor joint="j1" ctrlrange="-60 60"/><motor joint="j2" ctrlrange="-20 20"/></actuator>
+</mujoco>"""
+STUCK = """<mujoco model="stuck"><compiler angle="radian"/><worldbody><body>
+<joint name="b" axis="0 0 1" range="-2 2" armature="0.1" damping="0.5" frictionloss="30"/>
+<inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+<actuator><motor joint="b" ctrlrange="-10 10"/></actuator></mujoco>"""
+HEAVY = """<mujoco model="heavy"><compiler angle="radian"/><worldbody><body>
+<joint name="shoulder" axis="0 1 0" range="-2 2" damping="1"/>
+<inertial pos="0.4 0 0" mass="3" diaginertia="0.03 0.03 0.03"/></body></worldbody>
+<actuator><motor joint="shoulder" ctrlrange="-8 8"/></actuator></mujoco>"""
+OWN = JointInfo(name="b", position_min=-0.3, position_max=0.3, torque_max=1.0)
+
+
+@contextmanager
+def started(folder: Path, xml: str) -> Iterator[Target]:
+    file = folder / "machine.xml"
+    file.write_text(xml)
+    with zendsp.local(str(file), clock="fast", options=["--speed", "100"]) as target:
+        yield target
+
+
+@pytest.mark.parametrize("name", ["friction", "low-speed", "mechanical"])
+def test_a_held_joint_that_gives_way_ends_the_experiment_at_a_tenth_of_its_range(
+    tmp_path: Path, name: str
+) -> None:
+    with started(tmp_path, LIGHT) as target:
+        with pytest.raises(Refused, match=r"joint 2 \(b\) was to be held") as e:
+            run_experiment(name, Lab(tmp_path, target))
+        assert all(x in str(e.value) for x in ("gave way by 0.06", "larger inertia", "acknowledge"))
+        trip = target.status().trip
+        assert trip is not None and trip.reason == TripReason.POSITION and trip.joint == 2
+        rate = target.info.rate_hz
+    for file in (tmp_path / name).glob("*.npz"):
+        rec = Recording.load(file)
+        driven = rec.t - rec.t[0] <= trip.tick / rate if "ended" in file.name else rec.t >= 0.0
+        # rad; 5 mrad: what it swings in a few samples. Then an upright link falls, undriven
+        assert np.abs(rec["q"][driven, 1]).max() < 0.065, file.name
+
+
+def test_after_a_gentle_motion_the_loop_of_a_joint_that_gave_way_is_stiffer(
+    tmp_path: Path,
+) -> None:
+    with started(tmp_path, LIGHT) as target, pytest.raises(Refused):
+        run_experiment("mechanical", Lab(tmp_path, target))
+    first, gentle = (
+        np.asarray(Recording.load(tmp_path / "mechanical" / f"{name}.npz").parameters["J"])
+        for name in ("where_it_stands", "joint1_gentle")
+    )
+    assert gentle[1] == pytest.approx(3.0 * first[1]) and gentle[0] == pytest.approx(first[0])
+    gave = np.ptp(Recording.load(tmp_path / "mechanical" / "joint1_gentle.npz")["q"][:, 1])
+    assert gave < 0.03, "rad; 0.058 with the loop as it was"
+
+
+def test_limits_are_as_they_were_after_a_watched_block(tmp_path: Path) -> None:
+    with started(tmp_path, LIGHT) as target:
+        target.download("joint_pd.c")
+        before = target.limits()
+        with guarded(target, "x", Held({2: 0.1}, (1,))):
+            inside = target.limits()
+            assert inside.position_max == pytest.approx((before.position_max[0], 0.16))
+            # it stands at 0, and has to come to 0.1
+            assert inside.position_min == pytest.approx((before.position_min[0], -0.06))
+        assert target.limits() == before
+        with pytest.raises(ZeroDivisionError), guarded(target, "x", Held({2: 0.1}, (1,))):
+            raise ZeroDivisionError
+        assert target.limits() == before
+
+
+@pytest.mark.parametrize("name", ["friction", "low-speed", "mechanical"])
+def test_a_joint_that_its_drive_cannot_move_gets_no_numbers(tmp_path: Path, name: str) -> None:
+    with started(tmp_path, STUCK) as target, pytest.raises(Refused) as e:
+        run_experiment(name, Lab(tmp_path, target))
+    said = str(e.value)
+    assert "the command of joint 1 (b) is at its limit of 10 N m" in said
+    assert "larger inertia" not in said, "it is the torque that lacks"
+
+
+def test_a_joint_that_its_drive_cannot_carry_is_refused_before_anything_moves(
+    tmp_path: Path,
+) -> None:
+    with started(tmp_path, HEAVY) as target, pytest.raises(Refused, match="limit of 8 N m"):
+        run_experiment("low-speed", Lab(tmp_path, target))
+    assert [f.name for f in (tmp_path / "low-speed").glob("*.npz")] == ["where_it_stands.npz"]
+
+
+def test_numbers_are_as_uncertain_as_a_held_joint_may_have_made_them(tmp_path: Path) -> None:
+    with started(tmp_path, COUPLED) as target:
+        low = run_experiment("low-speed", Lab(tmp_path, target))
+        moved = run_experiment("mechanical", Lab(tmp_path, target))
+    # of the file: 0.5 + 0.08 + 5 0.2^2 + 0.1 + 6 0.55^2 in its pose
+    truth = {"inertia1": 2.695, "level1": 3.0, "slope1": 1.5, "level2": 1.0, "slope2": 0.5}
+    for name, true in truth.items():
+        e = low.values[name]
+        assert abs(e.value - true) < 2 * e.std < 0.3 * true, (name, e)
+    for name, true in (("inertia1", 2.695), ("coulomb1", 3.0), ("viscous1", 1.5)):
+        assert abs(moved.values[name].value - true) < 2 * moved.values[name].std, name
+    for found in (low, moved):
+        assert sum("Joint 2 was to be held while joint 1" in w for w in found.warnings) == 1
+        assert not any("Joint 1 was to be held" in w for w in found.warnings)
+
+
+def test_a_held_joint_widens_by_the_most_that_it_can_couple() -> None:
+    result = Result("x", "X", "arm", {n: Estimate(1.0, 0.0) for n in ("inertia1", "l1", "s1")})
+    seen = {1: Seen(0.0, 1.0, 1.0, 0.0, fast=2.0), 2: Seen(0.0, 0.1, 0.0, 0.1)}
+    widen(result, 1, seen, np.array([1.0, 0.25]), ("inertia1", "l1", "s1"), 4.0)
+    # 0.1 of the way, times sqrt(1 * 0.25) kg m^2, times 4 rad/s^2, over 2 rad/s
+    assert [e.std for e in result.values.values()] == pytest.approx([0.05, 0.2, 0.1])
+    still = Result("x", "X", "arm", {"l1": Estimate(1.0, 0.3)})
+    name_yielding(still, 1, 1.0, {2: 0.049})
+    assert not still.warnings and len(result.warnings) == 1
+
+
+def test_a_loop_is_made_stiffer_only_where_the_sampling_bears_it() -> None:
+    joints, seen = (OWN, OWN), {1: Seen(0.0, 0.2, 0.2, 0.0), 2: Seen(0.0, 0.05, 0.0, 0.05)}
+    assert firmer(seen, 1, joints, 1000.0, np.ones(2)) == [2]
+    assert firmer(seen, 1, joints, 4000.0, np.array([1.0, 3.0])) == [2]
+    with pytest.raises(Refused, match=r"gave way by 0\.05 rad"):
+        firmer(seen, 1, joints, 1000.0, np.array([1.0, 3.0]))
+    slightly = {**seen, 2: Seen(0.0, 0.012, 0.0, 0.012)}
+    assert firmer(slightly, 1, joints, 1000.0, np.array([1.0, 3.0])) == []
+
+
+def test_a_joint_that_was_to_move_and_did_not_is_refused() -> None:
+    stood("x", 1, {1: Seen(0.0, 0.9, 1.0, 0.1)}, OWN)
+    with pytest.raises(Refused, match=r"was to move 1 rad and moved 0\.2"):
+        stood("x", 1, {1: Seen(0.0, 0.2, 1.0, 0.8)}, OWN)
+
+
+def test_what_is_held_follows_from_the_reference_or_the_push() -> None:
+    way = np.stack([np.linspace(0.0, 1.0, 50), np.full(50, 0.3)], axis=1)
+    held = Held.by(Reference(way, 0.001, kind="x", machine=""), {})
+    assert held == Held({2: 0.3}, (1,))
+    assert Held.by(None, {"joint": 2, "place": [0.1, 0.2]}) == Held({1: 0.1}, (2,))
+    assert Held.by(None, {}) == Held({}, ())
