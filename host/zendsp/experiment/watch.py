@@ -278,7 +278,7 @@ def widen(
     acceleration: float,
 ) -> None:
     """Add to the numbers of a joint what held joints that gave way may have changed of them, and
-    name those that gave way by enough to matter.
+    name those that gave way by enough to matter, where that is more than the ± they had.
 
     A held joint k that goes along by a share s of the way takes M_jk s qdd of the torque of joint
     j. M is positive definite, so |M_jk| <= sqrt(M_jj M_kk). Friction is off by that, its slope by
@@ -302,11 +302,13 @@ def widen(
         if k == joint:
             continue
         off += share * (own * float(inertias[k - 1])) ** 0.5
-    ways = {k: other.way for k, other in seen.items() if k != joint}
-    name_yielding(result, joint, one.way, ways)
     torque = off * acceleration
     more = dict(zip(names, (off, torque, torque / max(one.fast, 1e-12)), strict=True))
-    for key in more.keys() & result.values.keys():
+    keys = more.keys() & result.values.keys()
+    if any(more[key] > result.values[key].std for key in keys):
+        ways = {k: other.way for k, other in seen.items() if k != joint}
+        name_yielding(result, joint, one.way, ways)
+    for key in keys:
         result.values[key] = _wider(result.values[key], more[key])
     parts = {"level": torque, "coefficient": more[names[2]]}
     for at, effect in enumerate(result.effects):
