@@ -10,7 +10,7 @@ import pytest
 
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import FitTable, Left, Workings
-from zendsp.diagnosis.external.inner_body import without_parts
+from zendsp.diagnosis.external.inner_body import of_what_was_asked, without_parts
 from zendsp.physics.model import Model, Quantity
 
 H = 0.001  # s
@@ -130,3 +130,20 @@ def test_what_a_joint_feels_of_another_ones_motion_is_no_law_of_its_own(
             assert told.refinements == (coupling,), "the improved model has it"
         if not claimed and not others:
             assert told.verdict == Verdict.UNEXPLAINED and told.improved == "calibrated"
+
+
+def test_what_ctrl_c_ended_claims_no_parts_of_a_body_that_was_not_asked_for() -> None:
+    """3 kg at the tool of an FMU were a gain, a spring and two inertias at four joints."""
+    gain, inertia, friction = (
+        SimpleNamespace(effect=e, joint=j, numbers={})
+        for j, e in enumerate(("torque_gain", "inertia", "coulomb"), 1)
+    )
+    parts: Any = replace(said(left=1e-4), findings=(gain, inertia))
+    told = of_what_was_asked(parts)
+    assert told.verdict == Verdict.UNEXPLAINED and not told.findings
+    assert "joints 1 and 2 (torque_gain, inertia) may be parts of a wrong body" in told.unexplained
+    beside: Any = replace(parts, findings=(friction, gain, inertia))
+    told = of_what_was_asked(beside)
+    assert told.findings == (friction,) and told.refinements == (gain, inertia)
+    alone: Any = replace(parts, findings=(gain,))
+    assert of_what_was_asked(alone) is alone, "one law that leaves nothing is right"

@@ -102,20 +102,36 @@ def without_parts(
     return _of_the_mechanism(_told(d, given, diagnose, terms))
 
 
+def of_what_was_asked(d: Diagnosis) -> Diagnosis:
+    """A diagnosis that was ended early, without laws that may be parts of a wrong body inside: it
+    was not asked for.
+    """
+    parts = like_parts(d) if _may_be_a_body(d) else []
+    return _of_the_mechanism(_set_aside(d, parts))
+
+
 def _of_the_mechanism(d: Diagnosis) -> Diagnosis:
     """The diagnosis without claimed couplings by inertia: what a joint feels of another one's
     motion comes from the bodies between them, and no joint has a law of its own for it.
     """
-    felt = [f for f in d.findings if f.effect == "coupling" and f.numbers.get("law") in BY_INERTIA]
-    if not felt:
+    return _set_aside(
+        d, [f for f in d.findings if f.effect == "coupling" and f.numbers.get("law") in BY_INERTIA]
+    )
+
+
+def _set_aside(d: Diagnosis, parts: Collection[Finding]) -> Diagnosis:
+    """The diagnosis in which some findings are no more than refinements, as they may be parts of a
+    wrong body inside.
+    """
+    if not parts:
         return d
-    rest = tuple(f for f in d.findings if f not in felt)
+    rest = tuple(f for f in d.findings if f not in parts)
     said = d.unexplained
     if "wrong body inside" not in said:
-        said = _parts({f.joint for f in felt}, ["coupling"], d)
+        said = _parts({f.joint for f in parts}, dict.fromkeys(f.effect for f in parts), d)
     if not rest:
         return _unclaimed(replace(d, refinements=()), said)
-    return replace(d, findings=rest, refinements=(*d.refinements, *felt), unexplained=said)
+    return replace(d, findings=rest, refinements=(*d.refinements, *parts), unexplained=said)
 
 
 def _told(

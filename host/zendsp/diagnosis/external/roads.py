@@ -4,6 +4,7 @@ output.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +13,7 @@ from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.contract import listed
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.external.blackbox import diagnose_simulator
-from zendsp.diagnosis.external.inner_body import without_parts
+from zendsp.diagnosis.external.inner_body import of_what_was_asked, without_parts
 from zendsp.diagnosis.external.numbers import as_given
 from zendsp.diagnosis.external.rigid import BENT, Called
 from zendsp.diagnosis.external.rigid_check import rigid
@@ -61,6 +62,7 @@ def diagnose_called(
     diagnose : callable
         The diagnosis of machines whose rigid body is known.
     """
+    begin = time.perf_counter()
     simulator = simulator_of(given, jobs)
     try:
         tell(Step.READING.says("asking the simulator whether it answers a torque at once"))
@@ -71,6 +73,7 @@ def diagnose_called(
             )
             return replace(d, notes=(BY_OUTPUT.format(called), *d.notes))
         found = _found(called, so_far, lambda m: diagnose(sources, replace(m, called=called)))
+        found = replace(found, seconds=time.perf_counter() - begin)  # of all that was asked
         return _without_simulator(found, called, given)
     finally:
         simulator.close()
@@ -95,13 +98,14 @@ def _found(
 
     given = called.model
     first = straight(given)
+    if first.stopped:
+        return of_what_was_asked(first)
     try:
-        return first if first.stopped else without_parts(
-            first, given, straight, called.inside.names
-        )
+        return without_parts(first, given, straight, called.inside.names)
     except KeyboardInterrupt:
         if not so_far:
             raise
+        first = of_what_was_asked(first)
         return replace(first, stopped=True, notes=(ENDED_ANEW, *first.notes))
 
 
