@@ -134,16 +134,20 @@ def test_what_a_joint_feels_of_another_ones_motion_is_no_law_of_its_own(
 
 def test_what_ctrl_c_ended_claims_no_parts_of_a_body_that_was_not_asked_for() -> None:
     """3 kg at the tool of an FMU were a gain, a spring and two inertias at four joints."""
-    gain, inertia, friction = (
-        SimpleNamespace(effect=e, joint=j, numbers={})
-        for j, e in enumerate(("torque_gain", "inertia", "coulomb"), 1)
+    laws = {
+        "torque_gain": "actuator", "inertia": "inertia", "stiffness": "position_torque",
+        "coulomb": "dry_friction",
+    }
+    gain, inertia, spring, friction = (
+        SimpleNamespace(effect=e, joint=j, numbers={}, mechanism=m)
+        for j, (e, m) in enumerate(laws.items(), 1)
     )
-    parts: Any = replace(said(left=1e-4), findings=(gain, inertia))
+    parts: Any = replace(said(left=1e-4), findings=(gain, inertia, spring))
     told = of_what_was_asked(parts)
     assert told.verdict == Verdict.UNEXPLAINED and not told.findings
-    assert "joints 1 and 2 (torque_gain, inertia) may be parts of a wrong body" in told.unexplained
-    beside: Any = replace(parts, findings=(friction, gain, inertia))
+    assert "joints 1, 2 and 3 (torque_gain, inertia, stiffness) may be parts" in told.unexplained
+    beside: Any = replace(parts, findings=(friction, gain, inertia, spring))
     told = of_what_was_asked(beside)
-    assert told.findings == (friction,) and told.refinements == (gain, inertia)
+    assert told.findings == (friction,) and told.refinements == (gain, inertia, spring)
     alone: Any = replace(parts, findings=(gain,))
     assert of_what_was_asked(alone) is alone, "one law that leaves nothing is right"

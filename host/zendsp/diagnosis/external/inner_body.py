@@ -104,9 +104,13 @@ def without_parts(
 
 def of_what_was_asked(d: Diagnosis) -> Diagnosis:
     """A diagnosis that was ended early, without laws that may be parts of a wrong body inside: it
-    was not asked for.
+    was not asked for. Beside such parts a torque over the position may be one, too.
     """
-    parts = like_parts(d) if _may_be_a_body(d) else []
+    parts = []
+    if _may_be_a_body(d):
+        parts = [
+            f for f in d.findings if like_a_part(f.effect) or f.mechanism == "position_torque"
+        ]
     return _of_the_mechanism(_set_aside(d, parts))
 
 
