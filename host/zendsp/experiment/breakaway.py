@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zendsp.errors import RecordingError, Refused
+from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL, half_width, mean_of
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.joints import USED, Array, Axis
-from zendsp.experiment.knowing import as_found, shipped, with_values
+from zendsp.experiment.knowing import as_found, refuse_none, shipped, with_values
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import low_speed
 from zendsp.experiment.push import BRAKING, Pusher
@@ -68,9 +68,7 @@ def breakaway(lab: Lab, count: int = 6, joints: tuple[int, ...] = ()) -> Result:
             except RecordingError as error:
                 result.warnings.append(f"Joint {joint} is left out: {error}.")
         result.recordings, result.target = bench.recordings, bench.where
-        if not found:
-            why = " ".join(result.warnings)
-            raise Refused(f"{result.name}: no joint could be measured. {why}")
+        refuse_none(result, found)
         for pushes in found.values():
             (_report if pushes.apart else _report_weighing)(result, pushes)
             _report_stiffness(result, pushes)

@@ -9,11 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zendsp.errors import RecordingError, Refused
+from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL, line_fit
 from zendsp.experiment.figures import BLUE, GREY, label, make_figure, save
 from zendsp.experiment.joints import USED, Axis, Known
-from zendsp.experiment.knowing import PROGRAM, as_found, shipped, top_speed, with_values
+from zendsp.experiment.knowing import (
+    PROGRAM,
+    as_found,
+    refuse_none,
+    shipped,
+    top_speed,
+    with_values,
+)
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import ACTS, low_speed
 from zendsp.experiment.push import BRAKING, PUSHING, Pusher, columns
@@ -79,9 +86,7 @@ def high_speed(
             except RecordingError as error:
                 result.warnings.append(f"Joint {joint} is left out: {error}.")
         result.recordings, result.target = bench.recordings, bench.where
-        if not points:
-            why = " ".join(result.warnings)
-            raise Refused(f"{result.name}: no joint could be measured. {why}")
+        refuse_none(result, points)
         for joint, each in points.items():
             _report(result, known.axes[joint], each)
             way = min(abs(p.way) for p in each)

@@ -4,12 +4,12 @@ low-speed experiment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from zendsp.errors import ModelError
+from zendsp.errors import ModelError, Refused
 from zendsp.experiment.joints import (
     BRAKED,
     USED,
@@ -200,3 +200,14 @@ def top_speed(axis: Axis) -> tuple[float, str]:
         (BRAKES * room / BRAKED, f"{far}, in which it has to stop,"),
         ((2.0 * BRAKES * room * stops) ** 0.5, f"{far}, in which it has to stop,"),
     )  # fmt: skip
+
+
+def refuse_none(result: Result, found: Collection[int]) -> None:
+    """Refuse a result of no joint, for the reasons that its warnings say.
+
+    Raises
+    ------
+    Refused
+    """
+    if not found:
+        raise Refused(f"{result.name}: no joint could be measured. {' '.join(result.warnings)}")

@@ -174,7 +174,8 @@ def too_far(own: JointInfo, joint: int, held: Held, away: float) -> str:
 @contextmanager
 def guarded(target: Target, name: str, held: Held) -> Iterator[None]:
     """A block in which a held joint that gives way too far trips the target at once: its limits of
-    position are tightened about its place, and about where it stands now. Then they are as before.
+    position are tightened about its place, and about where it stands now. Then they are as before,
+    an infinite one as ``FREE``.
 
     Raises
     ------
