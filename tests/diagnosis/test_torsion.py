@@ -19,8 +19,10 @@ from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.claims import Claim, claims_of
 from zendsp.diagnosis.transmission.motor_side import Motor
 from zendsp.diagnosis.transmission.sets import Sets, lag_of, torque_scale
-from zendsp.diagnosis.transmission.terms import choose, may_be_off
+from zendsp.diagnosis.transmission.shown import Shown, misread, shown
+from zendsp.diagnosis.transmission.terms import applied, choose, fitted, may_be_off
 from zendsp.diagnosis.transmission.torsion import Twist, held_drive, lowpass
+from zendsp.diagnosis.transmission.torsion_fit import rms
 from zendsp.diagnosis.transmission.waves import waves_of
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Quantity, Term
@@ -72,6 +74,59 @@ def test_a_recording_without_kept_rows_is_ignored_for_an_encoder_disc() -> None:
     first = moving.fit[0]
     still = replace(first, kept=np.zeros(len(first.q), bool))  # as between two pushes
     assert may_be_off(Sets([still, first], moving.choose, moving.test))
+
+
+def on_a_disc(compliance: float, width: float) -> Callable[[Array, Array], Array]:
+    """A spring, a step of full ``width`` with direction, and a disc 1 mm off in a radius of 1 m."""
+
+    def torsion(q: Array, torque: Array) -> Array:
+        step = 0.5 * width * np.tanh(np.gradient(q, 1 / RATE) / 0.01)
+        return np.asarray(-compliance * torque - step + 1e-3 * np.sin(q + 0.7))
+
+    return torsion
+
+
+def test_an_encoder_disc_is_the_same_in_every_recording() -> None:
+    slow = sets(on_a_disc(1e-4, 0.0), 1.0).each(lambda t: lowpass(t, 10.0))
+    scale = torque_scale(slow.fit)
+    found = fitted(slow.fit, ("spring",), True, scale)
+    assert found.x[-2:] == pytest.approx(1e-3 * np.array([np.cos(0.7), np.sin(0.7)]), rel=0.05)
+    # also where another recording is too short to tell a disc from a spring
+    brief = [replace(t, kept=t.kept & (np.arange(len(t.q)) < 100)) for t in slow.test]
+    assert rms(applied(brief, ("spring",), True, scale, found.x)) < 1e-5
+
+
+def read(compliance: float, width: float, travel: float) -> Shown:
+    slow = sets(on_a_disc(compliance, width), travel).each(lambda t: lowpass(t, 10.0))
+    return shown(slow, torque_scale(slow.fit), GIVEN, 1)
+
+
+@pytest.mark.parametrize(("compliance", "width"), [(0.0, 0.0), (2e-5, 1e-5), (1e-4, 1e-4)])
+@pytest.mark.parametrize("travel", [0.5, 1.5])
+def test_two_sensors_show_small_numbers_within_their_interval_too(
+    compliance: float, width: float, travel: float
+) -> None:
+    found = read(compliance, width, travel)
+    for term, true in (("spring", compliance), ("step", width)):
+        told = found.values[term]
+        assert abs(told.value - true) < 3.0 * told.std
+        assert told.std < found.least[term].value
+    sentence, seen = found.unclaimed(1, ["spring"])
+    assert "hysteresis" in sentence and "compliance" not in sentence
+    assert [d.effect for d in seen] == ["hysteresis"]
+
+
+def test_a_lag_left_in_reads_as_hysteresis() -> None:
+    def late(q: Array, torque: Array) -> Array:
+        return np.asarray(-3e-3 * np.gradient(q, 1 / RATE) - 1e-4 * torque)
+
+    raw = sets(late, 1.5)
+    assert lag_of(raw, 10.0) == pytest.approx(3e-3, rel=0.02)
+    told = misread(raw, 10.0, GIVEN, 1)
+    width = float(told.split()[-2])
+    assert told.endswith("rad") and width > 1e-3
+    slow = raw.each(lambda t: lowpass(t, 10.0))
+    assert abs(shown(slow, torque_scale(slow.fit), GIVEN, 1).values["step"].value) < 0.05 * width
 
 
 def gap(q: Array, torque: Array) -> Array:

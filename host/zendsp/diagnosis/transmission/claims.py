@@ -8,8 +8,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from zendsp.diagnosis.decide.claims import needed
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -23,10 +21,9 @@ from zendsp.diagnosis.transmission.terms import (
     physical,
 )
 from zendsp.diagnosis.transmission.torsion import Array, Twist, judged
-from zendsp.diagnosis.transmission.torsion_fit import columns_of, evidence, numbers_of, regress, rms
+from zendsp.diagnosis.transmission.torsion_fit import evidence, numbers_of, rms
 from zendsp.physics.model import Model
 
-POWER = 1.28  # standard deviations: for a chance of nine in ten
 AS_EFFECT = {"spring": "elasticity", "gap": "backlash"}
 # terms that only modify another one, and vanish with it
 BEND = {"spring": ("cubic", "loop")}
@@ -108,8 +105,13 @@ def _judged(slow: Sets, chosen: Chosen, term: str, scale: float, model: Model) -
     with_all = applied(slow.test, chosen.terms, chosen.off_centre, scale, chosen.fit.x)
     left = unexplained(with_all, slow.test)
     rest = _without(chosen.terms, term)
-    again = fitted(slow.fit, rest, chosen.off_centre, scale)
-    without = applied(slow.test, rest, chosen.off_centre, scale, again.x)
+    without = min(
+        (
+            applied(slow.test, rest, off, scale, fitted(slow.fit, rest, off, scale).x)
+            for off in {chosen.off_centre, False}
+        ),
+        key=lambda residual: rms(judged(slow.test, residual)),
+    )
     found, log_e = evidence(without, with_all, slow.test)
     size = apart(slow.test, without, with_all)
     value, spread = numbers_of(chosen.terms, chosen.fit, scale)[term]
@@ -137,22 +139,3 @@ def _like_a_disc(slow: Sets, scale: float, model: Model) -> bool:
     disc, both = (fitted(slow.fit, terms, True, scale) for terms in ((), ("spring",)))
     _, log_e = evidence(disc.residual, both.residual, slow.fit)
     return log_e < needed(model.joints) or both.x[0] >= 0
-
-
-def least_compliance(slow: Sets, chosen: Chosen, scale: float, model: Model) -> float:
-    """The smallest compliance that would have been claimed, with 90 % probability."""
-    columns = [columns_of(t, ("spring",), scale)[:, :1] for t in slow.test]
-    alone = regress(slow.test, columns, chosen.off_centre)
-    nothing = regress(slow.test, columns, chosen.off_centre, np.zeros(1))
-    unit = regress(
-        [replace(t, torsion=t.torque) for t in slow.test], columns, chosen.off_centre, np.zeros(1)
-    )
-    size = max(rms(unit.residual), 1e-300)
-    count = sum(len(r) for r in alone.residual)
-    error = math.hypot(
-        math.sqrt(float(alone.covariance[0, 0])),
-        max(t.noise for t in slow.test) / (size * math.sqrt(count)),
-    )
-    root = POWER + math.sqrt(POWER**2 + 2.0 * needed(model.joints))
-    left = unexplained(nothing.residual, slow.test)
-    return max(root * error, left / size)

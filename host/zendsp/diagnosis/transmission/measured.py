@@ -16,7 +16,7 @@ from functools import reduce
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.transmission.claims import Claim, claims_of, least_compliance
+from zendsp.diagnosis.transmission.claims import Claim, claims_of
 from zendsp.diagnosis.transmission.findings import (
     findings_of,
     helpful,
@@ -27,6 +27,7 @@ from zendsp.diagnosis.transmission.findings import (
 from zendsp.diagnosis.transmission.load_side import LoadSide, gap_side, load_side
 from zendsp.diagnosis.transmission.motor_side import Motor, joint_inertia
 from zendsp.diagnosis.transmission.sets import Sets, compliance_unit, lag_of, sets_of, torque_scale
+from zendsp.diagnosis.transmission.shown import BOTH, misread, shown
 from zendsp.diagnosis.transmission.terms import choose
 from zendsp.diagnosis.transmission.torque_sensor import sides_of
 from zendsp.diagnosis.transmission.torsion import (
@@ -164,7 +165,8 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     claims = [_spread(c, motor) for c in claims_of(slow, chosen, scale, model)]
     if lag:
         springs = [abs(c.value) for c in claims if c.name == "spring" and known_motor is None]
-        notes.append(_in_words(model, joint, lag, springs))
+        instead = misread(raw, band, model, joint) if lag > 0 else ""
+        notes.append(_in_words(model, joint, lag, springs, instead))
     if known:
         said = in_figures(claims, compliance_unit(model, joint))
         how = " with the ratio of stiffness and load that they show" if side else " alone"
@@ -188,14 +190,9 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     findings, terms = findings_of(parts, model, joint, scale, [*claims, *waves], load, side)
     found = {c.name for c in claims}
     seen: tuple[Detectable, ...] = ()
-    if "spring" not in found:
-        least = least_compliance(slow, chosen, scale, model)
-        unit = compliance_unit(model, joint)
-        seen = (Detectable(joint, "transmission", "elasticity", least, unit, 0.0),)
-        notes.append(
-            f"joint {joint}: its two sensors show no compliance; one of {least:.2g} {unit} would"
-            " have been seen"
-        )
+    if not found.issuperset(BOTH) and not found & {"gap", "loop"}:
+        text, seen = shown(slow, scale, model, joint).unclaimed(joint, tuple(found))
+        notes.append(text)
     out = Measured(joint, findings, terms, seen, tuple(notes), side, lag=lag)
     return replace(out, terms=helpful(with_ties(parts, [out]), model, joint, terms, jobs))
 
@@ -226,16 +223,18 @@ def _in_time(raw: Sets, model: Model, band: float) -> tuple[float, list[Claim], 
     return lag, waves, straight
 
 
-def _in_words(model: Model, joint: int, lag: float, springs: list[float]) -> str:
+def _in_words(model: Model, joint: int, lag: float, springs: list[float], instead: str) -> str:
     """A sentence on a lag. ``springs``: compliances measured with the motor's torque, of which
-    friction takes a part; such friction looks like an early column.
+    friction takes a part; such friction looks like an early column. ``instead``: what would be read
+    with the lag left in.
     """
     late = f"{1e3 * abs(lag):.3g} ms {'late' if lag > 0 else 'early'} against position"
     if lag < 0 and springs:
         unit = "m" if model.joint_kind(joint) == "linear" else "rad"
         friction = f"{-lag / springs[0]:.2g} {model.torque_unit(joint)} s/{unit}"
         late += f", or viscous friction of {friction} acts before the transmission (it looks alike)"
-    return f"joint {joint}: position_load is {late}; taken out"
+    left = f" (left in, the sensors would show {instead})" if instead else ""
+    return f"joint {joint}: position_load is {late}; taken out{left}"
 
 
 def _spread(claim: Claim, motor: Motor) -> Claim:

@@ -59,17 +59,25 @@ def may_be_off(slow: Sets) -> bool:
 
 
 def fitted(twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float) -> Linear:
-    """The torsion regressed on some terms, and on an eccentric disc where ``off``; ``scale`` is
-    `torque_scale`.
+    """The torsion regressed on some terms, and on an eccentric disc where ``off``, whose
+    coefficients are the last two; ``scale`` is `torque_scale`.
     """
-    return regress(twists, [columns_of(t, terms, scale) for t in twists], off)
+    return _regressed(twists, terms, off, scale)
 
 
 def applied(
     twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float, x: Array
 ) -> list[Array]:
     """The torsion that coefficients ``x`` of such a fit leave, rad, one array for each twist."""
-    return regress(twists, [columns_of(t, terms, scale) for t in twists], off, x).residual
+    return _regressed(twists, terms, off, scale, x).residual
+
+
+def _regressed(
+    twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float, x: Array | None = None
+) -> Linear:
+    """The disc is the same in every recording."""
+    listed = (*terms, "disc") if off else terms
+    return regress(twists, [columns_of(t, listed, scale) for t in twists], False, x)
 
 
 def physical(terms: Sequence[str], fit: Linear, scale: float) -> bool:
@@ -130,8 +138,7 @@ def _likeliest(
         _, log_e = evidence(fitted(here.fit, (), False, scale).residual, found.residual, here.fit)
         kept = applied(here.choose, terms, off, scale, found.x)
         _, held = evidence(fitted(here.choose, (), False, scale).residual, kept, here.choose)
-        count = len(found.x) + 2 * off * len(here.fit)
-        deviance = -2.0 * (log_e + held) + count * math.log(n)
+        deviance = -2.0 * (log_e + held) + len(found.x) * math.log(n)
         deviance += CLEARLY * (off + ("gap" in terms))
         tried[terms] = min(deviance, tried.get(terms, math.inf))
         if best is None or deviance < best[0].deviance:

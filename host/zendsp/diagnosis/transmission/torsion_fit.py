@@ -27,6 +27,7 @@ TERMS: dict[str, tuple[float, ...]] = {
     "gap": (1.0,),
     "step": (1.0,),
     "loop": YIELDS,
+    "disc": (1.0, 0.0),
 }
 
 
@@ -50,7 +51,9 @@ def columns_of(twist: Twist, terms: Sequence[str], scale: float) -> Array:
     """Columns of some terms, (n, columns) of the kept rows.
 
     ``spring``: torque and its damping; ``cubic``; ``gap``; ``step`` with direction; ``loop``: what
-    yields with the torque later than the spring. Errors over the angle are made by ``wave``.
+    yields with the torque later than the spring; ``disc``: an eccentric one, or torque over the
+    position that bends the spring and is not in the model's. Errors over the angle are made by
+    ``wave``.
     """
     made: dict[str, Callable[[], list[Array]]] = {
         "spring": lambda: [twist.torque, twist.extra.get("rate", twist.q)],
@@ -58,6 +61,7 @@ def columns_of(twist: Twist, terms: Sequence[str], scale: float) -> Array:
         "gap": lambda: [gap_shape(twist.torque)],
         "step": lambda: [twist.extra.get("direction", twist.q)],
         "loop": lambda: [play(twist.torque, part * scale) for part in YIELDS],
+        "disc": lambda: [np.sin(twist.q), np.cos(twist.q)],
     }
     listed = [column for term in terms for column in made[term]()]
     if not listed:
