@@ -24,7 +24,7 @@ from zendsp.diagnosis.transmission.torsion import Array, Twist, judged
 from zendsp.diagnosis.transmission.torsion_fit import evidence, numbers_of, rms
 from zendsp.physics.model import Model
 
-AS_EFFECT = {"spring": "elasticity", "gap": "backlash"}
+AS_EFFECT = {"spring": "elasticity", "gap": "backlash", "step": "hysteresis"}
 # terms that only modify another one, and vanish with it
 BEND = {"spring": ("cubic", "loop")}
 ENOUGH = 1.0  # of what stays unexplained: a smaller term is no finding

@@ -27,7 +27,7 @@ from zendsp.diagnosis.transmission.findings import (
 from zendsp.diagnosis.transmission.load_side import LoadSide, gap_side, load_side
 from zendsp.diagnosis.transmission.motor_side import Motor, joint_inertia
 from zendsp.diagnosis.transmission.sets import Sets, compliance_unit, lag_of, sets_of, torque_scale
-from zendsp.diagnosis.transmission.shown import BOTH, misread, shown
+from zendsp.diagnosis.transmission.shown import STATED, misread, shown
 from zendsp.diagnosis.transmission.terms import choose
 from zendsp.diagnosis.transmission.torque_sensor import sides_of
 from zendsp.diagnosis.transmission.torsion import (
@@ -190,7 +190,7 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     findings, terms = findings_of(parts, model, joint, scale, [*claims, *waves], load, side)
     found = {c.name for c in claims}
     seen: tuple[Detectable, ...] = ()
-    if not found.issuperset(BOTH) and not found & {"gap", "loop"}:
+    if not found.issuperset(STATED) and not found & {"gap", "loop"}:
         text, seen = shown(slow, scale, model, joint).unclaimed(joint, tuple(found))
         notes.append(text)
     out = Measured(joint, findings, terms, seen, tuple(notes), side, lag=lag)

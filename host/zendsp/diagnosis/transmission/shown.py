@@ -17,7 +17,7 @@ import numpy as np
 from zendsp.diagnosis.decide.claims import needed
 from zendsp.diagnosis.decide.findings import Estimate, number
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.transmission.claims import unexplained
+from zendsp.diagnosis.transmission.claims import AS_EFFECT, unexplained
 from zendsp.diagnosis.transmission.sets import Sets, compliance_unit
 from zendsp.diagnosis.transmission.terms import fitted, may_be_off
 from zendsp.diagnosis.transmission.torsion import Twist, lowpass
@@ -25,9 +25,8 @@ from zendsp.diagnosis.transmission.torsion_fit import columns_of, numbers_of, rm
 from zendsp.physics.model import Model
 
 POWER = 1.28  # standard deviations: for a chance of nine in ten
-BOTH = "spring", "step"
-AS_EFFECT = {"spring": "elasticity", "step": "hysteresis"}
-IN_WORDS = {"spring": "compliance", "step": "hysteresis"}
+STATED = "spring", "step"
+SAID = {"spring": "compliance", "step": "hysteresis"}
 WIDTH = 2.0  # a hysteresis is stated by its full width
 
 
@@ -40,13 +39,13 @@ class Shown:
 
     def unclaimed(self, joint: int, found: Sequence[str]) -> tuple[str, tuple[Detectable, ...]]:
         """A sentence on what is not among the ``found`` terms, and what would have been seen."""
-        rest = [t for t in BOTH if t not in found]
+        rest = [t for t in STATED if t not in found]
         seen = (
             Detectable(joint, "transmission", AS_EFFECT[t], e.value, e.unit, 0.0)
             for t, e in self.least.items()
             if t in rest
         )
-        values = " and ".join(f"a {IN_WORDS[t]} of {number(self.values[t])}" for t in rest)
+        values = " and ".join(f"a {SAID[t]} of {number(self.values[t])}" for t in rest)
         least = " and ".join(f"{self.least[t].value:.2g} {self.least[t].unit}" for t in rest)
         text = f"joint {joint}: its two sensors show {values}, not surely; {least} would be sure"
         return text, tuple(seen)
@@ -59,14 +58,14 @@ def shown(slow: Sets, scale: float, model: Model, joint: int) -> Shown:
     parts = [slow.fit, slow.choose] + ([slow.test] if slow.test is not slow.choose else [])
     rows = [t for part in parts for t in _once(part)]
     discs = (False, True) if may_be_off(slow) else (False,)
-    fits = [fitted(rows, BOTH, off, scale) for off in discs]
+    fits = [fitted(rows, STATED, off, scale) for off in discs]
     best = min(fits, key=lambda f: rms(f.residual))
     units = {"spring": compliance_unit(model, joint), "step": _unit(model, joint)}
     values, least = {}, {}
-    for term in BOTH:
+    for term in STATED:
         per = WIDTH if term == "step" else 1.0
-        value, std = numbers_of(BOTH, best, scale)[term]
-        others = [numbers_of(BOTH, f, scale)[term][0] - value for f in fits]
+        value, std = numbers_of(STATED, best, scale)[term]
+        others = [numbers_of(STATED, f, scale)[term][0] - value for f in fits]
         spread = math.hypot(std, max(map(abs, others)) / 2.0)
         values[term] = Estimate(-per * value, per * spread, units[term])
         size = max(_least(slow, term, off, scale, model) for off in discs)
