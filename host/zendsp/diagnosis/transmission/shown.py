@@ -26,7 +26,7 @@ from zendsp.physics.model import Model
 
 POWER = 1.28  # standard deviations: for a chance of nine in ten
 STATED = "spring", "step"
-SAID = {"spring": "compliance", "step": "hysteresis"}
+KINDS = {"spring": "compliance", "step": "hysteresis"}
 WIDTH = 2.0  # a hysteresis is stated by its full width
 
 
@@ -45,7 +45,7 @@ class Shown:
             for t, e in self.least.items()
             if t in rest
         )
-        values = " and ".join(f"a {SAID[t]} of {number(self.values[t])}" for t in rest)
+        values = " and ".join(f"a {KINDS[t]} of {number(self.values[t])}" for t in rest)
         least = " and ".join(f"{self.least[t].value:.2g} {self.least[t].unit}" for t in rest)
         text = f"joint {joint}: its two sensors show {values}, not surely; {least} would be sure"
         return text, tuple(seen)
