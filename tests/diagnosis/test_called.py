@@ -18,7 +18,7 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import read_divided
-from zendsp.diagnosis.decide.pieces import rubs
+from zendsp.diagnosis.decide.law_torque import rubs
 from zendsp.diagnosis.external.asked import State
 from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.diagnosis.external.inside import Inside

@@ -20,8 +20,8 @@ from zendsp.diagnosis.decide.absorbed import _by
 from zendsp.diagnosis.decide.assemble import _known_to
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
+from zendsp.diagnosis.decide.law_torque import may_leave
 from zendsp.diagnosis.decide.notes import apart, bent
-from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.result import Errors, FitTable
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR, PLAIN
 from zendsp.diagnosis.measure.discrepancy import Size

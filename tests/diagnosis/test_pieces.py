@@ -14,7 +14,7 @@ from made_claims import PARTS, piece
 from small_models import VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import patchwork, pieces
+from zendsp.diagnosis.decide import law_torque, patchwork, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
 from zendsp.diagnosis.decide.notes import left_over
 from zendsp.diagnosis.measure.discrepancy import Size, difference
@@ -91,7 +91,7 @@ def test_what_acts_at_reversals_must_exceed_the_error_of_the_dry_friction(
     part of what the lag gains.
     """
     monkeypatch.setattr(pieces, "at_reversals", lambda *_: turning)
-    monkeypatch.setattr(pieces, "difference", lambda *_: 0.2)
+    monkeypatch.setattr(law_torque, "difference", lambda *_: 0.2)
     friction = Term("coulomb", 1, {})
     model = SimpleNamespace(terms=(friction,), at=lambda _: (friction,), with_terms=lambda _: None)
     lag = piece(0.004, 5.0, 50.0, "lag")
@@ -165,7 +165,7 @@ def test_a_wave_faster_than_the_observer_has_its_whole_torque() -> None:
         )
         whole.append(pieces._unseen(data, model, (wave,), 1))
         with_it = model.with_terms((*model.terms, wave))
-        seen.append(difference(data, model, with_it, 1) * pieces.rms_torque(data, 1))
+        seen.append(difference(data, model, with_it, 1) * law_torque.rms_torque(data, 1))
     assert seen[0] < 0.004 and whole[0] * seen[0] == pytest.approx(0.01, rel=0.15)
     assert whole[1] == pytest.approx(1.0, abs=0.1)
     friction = make_term(get_effect("coulomb"), 1, {"level": 0.01})

@@ -11,6 +11,7 @@ from dataclasses import replace
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence, likely_enough, stated
+from zendsp.diagnosis.decide.law_torque import kept_laws, kind_of, law_leaves, rubs
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
 from zendsp.diagnosis.decide.near import ANOTHER, LEAVES_MORE, TWIN, doubt
 from zendsp.diagnosis.decide.patchwork import (
@@ -18,13 +19,7 @@ from zendsp.diagnosis.decide.patchwork import (
     draws_a_curve,
     twins,
 )
-from zendsp.diagnosis.decide.pieces import (
-    kept_laws,
-    kind_of,
-    law_leaves,
-    rubs,
-    taken_away,
-)
+from zendsp.diagnosis.decide.pieces import taken_away
 from zendsp.diagnosis.decide.rivals import together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,

@@ -19,18 +19,11 @@ from zendsp.diagnosis.decide.believed import believed
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.contract import Verdict, contradicted
 from zendsp.diagnosis.decide.findings import estimates, new_terms
+from zendsp.diagnosis.decide.law_torque import kind_of, rubs
 from zendsp.diagnosis.decide.laws import named
 from zendsp.diagnosis.decide.near import with_reasons
 from zendsp.diagnosis.decide.nothing_named import nothing_named, throws
-from zendsp.diagnosis.decide.pieces import (
-    grouped,
-    held_apart,
-    kind_of,
-    piece_of,
-    rubs,
-    sure,
-    worth_choosing,
-)
+from zendsp.diagnosis.decide.pieces import grouped, held_apart, piece_of, sure, worth_choosing
 from zendsp.diagnosis.decide.pushes import beside, by_own_numbers, felt, lost, pushed_beside
 from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, RUN_AWAY, SIMULATORS_DIFFER, SURE
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy

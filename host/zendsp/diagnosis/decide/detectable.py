@@ -26,14 +26,9 @@ from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import CLOCK
+from zendsp.diagnosis.decide.law_torque import kept_laws, torque_of
 from zendsp.diagnosis.decide.patchwork import part_of_a_wave
-from zendsp.diagnosis.decide.pieces import (
-    dependence,
-    finest,
-    kept_laws,
-    log_e_value,
-    torque_of,
-)
+from zendsp.diagnosis.decide.pieces import dependence, finest, log_e_value
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.decide.thresholds import (
     CLAIMED,

@@ -10,6 +10,13 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.believed import by_themselves, surely_more, without_its_parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.law_torque import (
+    kept_laws,
+    kind_of,
+    known_discrepancy,
+    may_leave,
+    rms_torque,
+)
 from zendsp.diagnosis.decide.near import LEAVES_MORE, why_curve
 from zendsp.diagnosis.decide.patchwork import (
     bends,
@@ -18,16 +25,7 @@ from zendsp.diagnosis.decide.patchwork import (
     part_of_a_wave,
     stand_on_nothing,
 )
-from zendsp.diagnosis.decide.pieces import (
-    kept_laws,
-    kind_of,
-    known_discrepancy,
-    may_leave,
-    piece_of,
-    rms_torque,
-    sure,
-    turns_round,
-)
+from zendsp.diagnosis.decide.pieces import piece_of, sure, turns_round
 from zendsp.diagnosis.decide.rivals import law_of
 from zendsp.diagnosis.decide.thresholds import (
     CURVE,

@@ -11,7 +11,8 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
-from zendsp.diagnosis.decide.pieces import beside_unknown, kind_of
+from zendsp.diagnosis.decide.law_torque import kind_of
+from zendsp.diagnosis.decide.pieces import beside_unknown
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     COMMANDED,

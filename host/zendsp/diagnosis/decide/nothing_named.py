@@ -13,9 +13,10 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, Piece, not_likelier
 from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, Verdict
 from zendsp.diagnosis.decide.findings import percent
+from zendsp.diagnosis.decide.law_torque import known_discrepancy, rms_torque, rubs
 from zendsp.diagnosis.decide.nameless import only_mechanism
 from zendsp.diagnosis.decide.near import nearest_law
-from zendsp.diagnosis.decide.pieces import finest, known_discrepancy, rms_torque, rubs, sure
+from zendsp.diagnosis.decide.pieces import finest, sure
 from zendsp.diagnosis.decide.pushes import fitted_to, of_a_law, of_the_motion, predicts, pushed
 from zendsp.diagnosis.decide.thresholds import (
     AMISS,

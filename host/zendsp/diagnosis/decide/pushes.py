@@ -12,7 +12,7 @@ from dataclasses import replace
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.pieces import dry_torque, rubs
+from zendsp.diagnosis.decide.law_torque import dry_torque, rubs
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     ASTRAY,

@@ -13,7 +13,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Piece
 from zendsp.diagnosis.decide.contract import Rejected
 from zendsp.diagnosis.decide.findings import new_terms
-from zendsp.diagnosis.decide.pieces import kind_of
+from zendsp.diagnosis.decide.law_torque import kind_of
 from zendsp.diagnosis.decide.thresholds import (
     BOOTSTRAP_DRAWS,
     EXPLAINS,

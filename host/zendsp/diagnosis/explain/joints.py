@@ -24,8 +24,8 @@ from zendsp.diagnosis.decide.across import all_late, pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict
+from zendsp.diagnosis.decide.law_torque import rms_torque
 from zendsp.diagnosis.decide.notes import MADE_WORSE
-from zendsp.diagnosis.decide.pieces import rms_torque
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.explain.one_joint import explain_joint, upon_ripples
 from zendsp.diagnosis.measure.discrepancy import discrepancy

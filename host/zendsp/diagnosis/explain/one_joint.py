@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.fast_ripple import fine_ripples
-from zendsp.diagnosis.decide.pieces import has
+from zendsp.diagnosis.decide.law_torque import has
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
 from zendsp.diagnosis.explain.faster_observer import searched
 from zendsp.diagnosis.explain.given_springs import upon_given_springs
