@@ -14,9 +14,9 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from zendsp.diagnosis.data.checks import check_excitation, check_motion
+from zendsp.diagnosis.data.checks import check_excitation, check_given, check_motion
 from zendsp.diagnosis.data.columns import cutting
-from zendsp.diagnosis.data.prepare import of_one_sensor, prepare
+from zendsp.diagnosis.data.prepare import at_their_poses, of_one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import halves, read_divided
@@ -186,6 +186,7 @@ def _with_zeros_given(
     begin = time.perf_counter()
     given = kernel_model(given_file)
     signals, parts, notes = _ready(*sources, given, tell)
+    given = at_their_poses(given, parts.fit)
     found, stopped = _found(signals, parts, given, jobs, tell, so_far)
     found, clocks = _by_one_clock(found)
     found, findings, refinements, rejected = _name(found, given)
@@ -311,7 +312,7 @@ def _look_on(
     bodies = detectable_bodies(
         found.parts, found.whole.improved, found.decisions, found.claims, jobs
     )
-    decisions = blind(found.decisions, seen)
+    decisions = blind(found.parts, given, found.decisions, seen)
     tell(Step.LOOKING_ON.says("proposing the next recording"))
     if given.called is not None:
         return _Looked(decisions, seen, experiment_of(findings))
@@ -368,7 +369,7 @@ def _ready(
     if given.called is None:
         check_motion(everything, given, names)
         check_zeros(everything, given)
-    return read, parts, [*notes, *how, *check_excitation(fit)]
+    return read, parts, [*notes, *how, *check_given(everything, given), *check_excitation(fit)]
 
 
 def _name(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,8 +14,9 @@ from zendsp.diagnosis.data.jumps import BACK, JUMP_QUANTILE, stands_out
 from zendsp.diagnosis.data.plausibility import check_driven, check_free
 from zendsp.diagnosis.data.series import stretches
 from zendsp.diagnosis.data.signals import Signals, unused_effects
-from zendsp.errors import RecordingError
+from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import mechanism_of
 from zendsp.physics.kernel.signals import noise_beside_quantisation
 from zendsp.physics.model import Model, per_joint
 
@@ -35,6 +37,10 @@ FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit an
 MOSTLY = 0.5  # of the samples
 OPPOSITE = -0.5  # slope
 UNIT_FACTOR = (0.7, 1.4)  # times a factor between units: its tolerance
+# times the RMS torque of a driven motion: a given dry friction that no torque of it overcomes, by
+# ten times the highest peak. One of 150 N m, for mN m, left a search without any gradient
+IMMOVABLE = 30.0
+LATE_ROWS = 100  # of a recording: a longer delay or hold is noted; chosen, for ms taken for s
 OTHER_UNITS = 10  # times the actuator's limit, and most of the time beyond it
 MILLI = 1000.0  # times a unit: a command in milli-units is this many times larger
 TOO_LARGE = 1.001  # of the actuator's limit: more than rounding
@@ -350,6 +356,39 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> None:
             check_free(where, rec, model)
 
 
+def check_given(data: Data, model: Model) -> list[str]:
+    """The notes on given numbers that the recordings make doubtful.
+
+    Raises
+    ------
+    ModelError
+        A given dry friction is so large that the joint, which moves, could not.
+    """
+    notes = []
+    for joint in range(1, data.joints + 1):
+        driven = [rec[joint - 1] for rec in data.records if np.any(rec[joint - 1].command)]
+        largest = max((r.scale.torque for r in driven), default=math.inf)
+        for term in model.at(joint):
+            level = term.parameters.get("level")
+            dry = level is not None and mechanism_of(term.effect) == "dry_friction"
+            if level is not None and dry and abs(level.value) > IMMOVABLE * largest:
+                unit = model.torque_unit(joint)
+                raise ModelError(
+                    f"{model.name}: {term.effect} of joint {joint} has a level of"
+                    f" {level.value:.4g} {unit}, and the torque of the recorded motion is"
+                    f" {largest:.2g} {unit} RMS: the joint could not move. Its unit? level ="
+                    f' {{ value = {level.value:.4g}, unit = "m{unit}" }}, or leave the term out'
+                )
+    for name in ("delay", "hold"):
+        time, row = getattr(model.actuator, name), data.records[0][0].sample_time
+        if (time or 0.0) > LATE_ROWS * row:
+            notes.append(
+                f"[actuator] {name} = {time:.4g} s is {time / row:.0f} rows of the recording: is it"
+                f" in ms? {name} = {time / 1e3:.4g}"
+            )
+    return notes
+
+
 def never_reverses(data: Data, joint: int) -> bool:
     """Whether a joint (1-based) moves one way in all recordings."""
     speeds = [rec[joint - 1].motion.states[1] for rec in data.records]
@@ -363,6 +402,6 @@ def check_excitation(data: Data) -> list[str]:
         if never_reverses(data, j):
             notes.append(
                 f"joint {j} never reverses: Coulomb friction, offset and asymmetry cannot be told"
-                " apart"
+                " apart; nor can viscous friction from them where its speed hardly varies"
             )
     return notes

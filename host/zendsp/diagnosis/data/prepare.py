@@ -15,7 +15,9 @@ from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.errors import ModelError
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.calibration.joint import JointRecord, mechanism_value, share_facts
+from zendsp.physics.calibration.joint import JointRecord, facts, mechanism_value, share_facts
+from zendsp.physics.effects import get_effect
+from zendsp.physics.effects.axes import LINKS
 from zendsp.physics.effects.base import Scale
 from zendsp.physics.kernel.signals import (
     Measurement,
@@ -25,7 +27,7 @@ from zendsp.physics.kernel.signals import (
     noise_beside_quantisation,
     smooth,
 )
-from zendsp.physics.model import TREES, Model, per_joint
+from zendsp.physics.model import TREES, Model, Quantity, per_joint
 from zendsp.physics.robots.bodies import Links, body_terms, machine_tree
 from zendsp.physics.robots.rigid import Basis, bases, recorded_tree
 from zendsp.physics.term_numbers import added_inertia
@@ -48,6 +50,20 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
     records = tuple(_records(s, model) for s in signals)
     share_facts(records)
     return Data(records, (bandwidth,) * model.joints, ranges=inertia_ranges(records, model))
+
+
+def at_their_poses(model: Model, data: Data) -> Model:
+    """The model, in which springs and gaps of an arm that do not say what their loads are a part of
+    have the mean inertia of the links along the recordings.
+    """
+    terms = []
+    for term in model.terms:
+        links = facts(data.records[0][term.joint - 1]).links
+        names = {p.name for p in get_effect(term.effect).parameters}
+        if links and LINKS.name in names and not term.value(LINKS.name):
+            term = replace(term, parameters={**term.parameters, LINKS.name: Quantity(links, False)})
+        terms.append(term)
+    return model.with_terms(tuple(terms))
 
 
 def one_sensor(signals: Sequence[Signals]) -> list[Signals]:
@@ -198,22 +214,32 @@ def _scale(
         (1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.inertia
         for key, b in basis.items()
     )
+    bias_series = sum(
+        (1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.bias
+        for key, b in basis.items()
+    )
     inertia = float(np.mean(inertia_series)) + added_inertia(model, j + 1)
-    # a hardly driven joint is moved by its weight, which is the torque then
+    moving = inertia_series * qdd + added_inertia(model, j + 1) * qdd + bias_series - weight
     if model.kind == "rotary":
         weight = mechanism_value(model, "gravity", j + 1) * np.sin(q)
-    effort = float(np.sqrt(max(np.mean(torque**2), np.mean(weight**2))))
-    effort = effort or inertia * float(np.sqrt(np.mean(qdd**2)))
+    # a hardly driven joint is moved by its weight, which is the torque then; but no more of it than
+    # moves the joint and is held: with a weight given 1000 times too large all else was too small
+    effort = min(_rms(weight), _rms(torque) + _rms(moving))
+    effort = max(_rms(torque), effort) or inertia * _rms(qdd)
     way = max(float(np.ptp(q)), 1e-9)
     return Scale(
         torque=max(effort, 1e-12),
-        speed=max(float(np.sqrt(np.mean(qd**2))), 1e-9),
+        speed=max(_rms(qd), 1e-9),
         position=way,
         inertia=max(inertia, 1e-12),
-        command=max(float(np.sqrt(np.mean(s.command[:, j] ** 2))), 1e-12),
+        command=max(_rms(s.command[:, j]), 1e-12),
         seconds=float(s.time[-1] - s.time[0]),
         turn=1.0 if model.joint_kind(j + 1) == "rotary" else way / 6.283,
     )
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(np.asarray(x) ** 2)))
 
 
 def _weights(model: Model, states: Sequence[Array]) -> list[Array]:

@@ -18,6 +18,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.pieces import finest
 from zendsp.diagnosis.decide.thresholds import TOLERANCE
+from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -45,6 +46,9 @@ TIMES = {"lag": "time_constant", "delay": "time"}
 # of a given time, which is hardly better known than this. A delay beside a lag moved it by 140 to
 # 2040 %; none of 50 complete machines (seed 401) has such a finding
 LATER = 0.5
+# s, and errors of the sensor: a joint whose position bends less over that time shows no inertia. At
+# constant speed it was 0.6 to 1.2; slow motion of complete machines (seed 1811) has 4.6 and more
+BEND, BENT = 0.25, 2.0
 G = 9.81  # m/s²
 
 
@@ -76,7 +80,7 @@ def shifted(
         return late
     if given.of_bodies:
         return _rotor(given, decision, whole, test)
-    if given.kind not in ("rotary", "linear"):
+    if given.kind not in ("rotary", "linear") or not _accelerates(test, joint):
         return []
     moves = {}
     for key, items in given.mechanism.items():
@@ -210,6 +214,14 @@ def moved(given: Model, calibrated: Model) -> list[str]:
     return out
 
 
+def friction_moved(given: Model, calibrated: Model, joint: int) -> bool:
+    """Whether calibration moved a number of a joint's friction beyond its tolerance."""
+    return any(
+        n.is_far and n.effect and mechanism_of(n.effect) in FRICTION
+        for n in _numbers(given, calibrated, joint)
+    )
+
+
 def bodies_wrong(given: Model, improved: Model) -> int:
     """The count of body numbers of a planar arm that moved beyond their tolerance."""
     if given.kind != "planar2r":
@@ -244,7 +256,7 @@ class _Number:
     def __str__(self) -> str:
         given, new = self.given.value, self.new.value
         name = f"{self.effect.replace('_', ' ')} {self.key}".lstrip()
-        return f"{name} {given:.4g} to {new:.4g} ({100 * (new / given - 1.0):+.0f} %)"
+        return f"{name} {given:.4g} to {new:.4g} ({_times(new / given - 1.0)})"
 
 
 def _one_factor(given: Model, calibrated: Model, joint: int) -> float | None:
@@ -359,6 +371,20 @@ def _rotor(
     return [(z, size, _finding("inertia", joint, values, sure, ("body", "payload"), text))]
 
 
+def _accelerates(test: Data, joint: int) -> bool:
+    """Whether accelerations show in the position: over a quarter of a second it bends by more than
+    the sensor's error. Of a joint that turns at constant speed the rounding bends as much, which
+    goes into the command; its inertia was "a factor of 0.09".
+    """
+    for rec in test.records:
+        record = rec[joint - 1]
+        y, half = record.position, max(1, round(0.5 * BEND / record.sample_time))
+        bend = y[2 * half :] - 2.0 * y[half:-half] + y[: -2 * half]
+        if float(bend @ bend) > BENT**2 * 6.0 * record.measurement.std**2 * len(bend):
+            return True
+    return False
+
+
 def _by_unseen(improved: Model, joint: int, test: Data) -> float:
     """The part by which an inertia may come out too large because commands between the rows are
     unknown. They are an error of the regressor (errors in variables); a larger inertia responds
@@ -428,7 +454,24 @@ def _gravity_only(
 def _by(amount: float, ratio: float, std: float, unit: str) -> str:
     """The change of a given number in words, with its new value."""
     given = amount / ratio
-    return f"{100 * ratio:+.0f} % (from {given:.3g} to {with_std(given + amount, std, unit)})"
+    return f"{_times(ratio)} (from {given:.3g} to {with_std(given + amount, std, unit)})"
+
+
+def _times(change: float) -> str:
+    """A relative change in words; beyond a factor of ten as the factor, and as a unit's where it is
+    one of a thousand.
+
+    Examples
+    --------
+    >>> _times(0.38), _times(24.0), _times(-0.999)
+    ('+38 %', 'a factor of 25', 'a factor of 0.001: a unit?')
+    """
+    factor = 1.0 + change
+    if not factor > 0.0 or 0.1 <= factor <= 10.0:
+        return f"{100 * change:+.0f} %"
+    thousands = math.log10(factor) / 3.0
+    unit = ": a unit?" if abs(thousands - round(thousands)) < TOLERANCE else ""
+    return f"a factor of {factor:.2g}{unit}"
 
 
 def _finding(

@@ -21,7 +21,9 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.data.checks import never_reverses
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.absorbed import friction_moved
 from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.contract import Verdict
@@ -109,15 +111,25 @@ def detectable(
     return tuple(out)
 
 
-def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Decision]:
+def blind(
+    parts: Parts, given: Model, decisions: Sequence[Decision], seen: Sequence[Detectable]
+) -> list[Decision]:
     """The decisions, with all torque possibly unexplained at a complete joint where neither a
-    friction nor a torque over position would have been seen, however large.
+    friction nor a torque over position would have been seen, however large; or where calibration
+    moved a given friction and no dry friction would have been seen, since the joint moves one way:
+    the number may stand for one.
     """
     kinds = {*FRICTION, "position_torque"}
     shown = {x.joint for x in seen if x.mechanism in kinds and x.is_shown}
+    dry = {x.joint for x in seen if x.effect == "coulomb" and x.is_shown}
+
+    def hidden(d: Decision) -> bool:
+        one_way = never_reverses(parts.fit, d.joint) and d.joint not in dry
+        return d.joint not in shown or (one_way and friction_moved(given, d.final.model, d.joint))
+
     return [
         replace(d, after=replace(d.after, high=1.0))
-        if d.kind == Verdict.COMPLETE and d.joint not in shown
+        if d.kind == Verdict.COMPLETE and hidden(d)
         else d
         for d in decisions
     ]

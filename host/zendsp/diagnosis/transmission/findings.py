@@ -21,6 +21,7 @@ from zendsp.diagnosis.transmission.load_side import LoadSide
 from zendsp.diagnosis.transmission.motor_side import Motor, joint_inertia
 from zendsp.diagnosis.transmission.torsion import has_bodies
 from zendsp.physics.calibration.handles import LEADER
+from zendsp.physics.calibration.joint import facts
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Quantity, Term
 
@@ -177,6 +178,7 @@ def _term(
         known.setdefault("damping", (damping, 0.0))
         dry = side.dry * load if side is not None else 0.0
         known["load_dry"] = dry, 0.0
+        known["links_inertia"] = facts(parts.fit.records[0][joint - 1]).links, 0.0
         loose |= {"load_dry"} if dry else set()
     values = {
         p.name: Quantity(
@@ -201,8 +203,8 @@ def rubbing(model: Model, joint: int, side: LoadSide | None) -> tuple[Term, ...]
 
 def _bodies(parts: Parts, model: Model, joint: int) -> float:
     """The mean inertia of the bodies behind a joint, kg m² or kg."""
-    inertia, _ = parts.fit.records[0][joint - 1].inertia_and_bias(model)
-    return float(np.mean(inertia))
+    record = parts.fit.records[0][joint - 1]
+    return facts(record).links or float(np.mean(record.inertia_and_bias(model)[0]))
 
 
 def _finding(

@@ -371,6 +371,7 @@ def facts(
             joints=len(record.others),
             gain=1.0,
             inertia=record.scale.inertia,
+            links=float(np.mean(record.basis["fixed"].inertia)) if "fixed" in record.basis else 0.0,
             temperature=(
                 float(record.columns["temperature"][0])
                 if "temperature" in record.columns
@@ -397,6 +398,7 @@ def share_facts(records: Sequence[Sequence[JointRecord]]) -> None:
     """
     for joint in zip(*records, strict=True):
         each = [facts(record) for record in joint]
+        pairs = list(zip(each, joint, strict=True))
         longest = facts(max(joint, key=lambda r: r.n))
         low, high = (
             [f.centre + half * f.scale.position for f in each] for half in (-0.5, 0.5)
@@ -412,6 +414,7 @@ def share_facts(records: Sequence[Sequence[JointRecord]]) -> None:
             scale=replace(longest.scale, position=way, turn=turn, **most),
             centre=0.5 * (min(low) + max(high)),
             weak=min(f.weak for f in each),
+            links=sum(f.links * r.n for f, r in pairs) / sum(r.n for r in joint),
             **{
                 name: max(getattr(f, name) for f in each)
                 for name in ("fast", "fastest", "strong", "strongest")

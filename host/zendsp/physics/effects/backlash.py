@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 
 from zendsp.physics.effects.axes import (
+    LINKS,
     load_limits,
     resonance,
     transmission_damping_limits,
@@ -33,6 +34,7 @@ def _starts(facts: Facts) -> Sequence[Numbers]:
                 "stiffness": stiffness,
                 "load_inertia": load,
                 "damping": damping,
+                "links_inertia": facts.links,
             }
         )
     return starts
@@ -59,10 +61,11 @@ EFFECT = Effect(
             "damping", "torque/speed", lower=0, default=0.0, limits=transmission_damping_limits,
             meaning="of the contact; 0: a tenth of critical",
         ),
+        LINKS,
     ),
     c=(
         "two_mass = 1; gap = p[0]; k_spring = p[1]; j_load = p[2]; c_spring = p[3] > 0 ? p[3] : 0.1"
-        " * sqrt(p[1] * p[2]);"
+        " * sqrt(p[1] * p[2]); j_links = p[4];"
     ),
     sentence="Joint {joint} has backlash of {gap} between motor and load.",
     experiment="Small reversals around zero load torque.",

@@ -86,6 +86,9 @@ class Facts:
         At the beginning, °C; nan where no column says.
     replaced : mapping
         Numbers of the term that the effect would replace; empty where there is none.
+    links : float
+        Mean inertia of an arm's links along the recordings, kg m² or kg, without bodies that an
+        effect adds; 0 for a joint alone.
     lines : bool
         Rows are samples of a faster loop, and lines stand for its command between them.
     """
@@ -106,6 +109,7 @@ class Facts:
     friction: float = 0.0
     temperature: float = float("nan")
     replaced: Numbers = field(default_factory=dict)
+    links: float = 0.0
     lines: bool = False
 
 

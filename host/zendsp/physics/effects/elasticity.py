@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from zendsp.physics.effects.axes import (
     DAMPING,
+    LINKS,
     load_limits,
     resonance,
     swings,
@@ -31,6 +32,7 @@ def _starts(facts: Facts) -> Sequence[Numbers]:
                 "stiffness": stiffness,
                 "load_inertia": load,
                 "damping": DAMPING * math.sqrt(stiffness * load),
+                "links_inertia": facts.links,
             }
         )
     return starts
@@ -57,8 +59,12 @@ EFFECT = Effect(
             "load_dry", "torque", lower=0, default=0.0, fitted=False,
             meaning="dry friction of the load, which two position sensors show",
         ),
+        LINKS,
     ),
-    c="two_mass = 1; k_spring = p[0]; c_spring = p[1]; j_load = p[2]; dry_load = p[3];",
+    c=(
+        "two_mass = 1; k_spring = p[0]; c_spring = p[1]; j_load = p[2]; dry_load = p[3]; "
+        "j_links = p[4];"
+    ),
     sentence=(
         "Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia}."
     ),

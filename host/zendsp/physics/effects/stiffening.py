@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from zendsp.physics.effects.axes import (
     DAMPING,
+    LINKS,
     load_limits,
     resonance,
     stiffening_limits,
@@ -40,6 +41,7 @@ def _starts(facts: Facts) -> Sequence[Numbers]:
     starts = []
     for spring, share in itertools.product(springs, shares):
         torque = facts.scale.torque * spring["load_inertia"] / facts.inertia
+        spring["links_inertia"] = facts.links
         starts.append({**spring, "stiffness3": share * spring["stiffness"] ** 3 / torque**2})
     return starts
 
@@ -69,10 +71,11 @@ EFFECT = Effect(
             "load_dry", "torque", lower=0, default=0.0, fitted=False,
             meaning="dry friction of the load, which two position sensors show",
         ),
+        LINKS,
     ),
     c=(
         "two_mass = 1; k_spring = p[0]; k_cubic = p[1]; j_load = p[2]; c_spring = p[3] > 0 ? "
-        "p[3] : -1; dry_load = p[4];"
+        "p[3] : -1; dry_load = p[4]; j_links = p[5];"
     ),
     sentence=(
         "The transmission of joint {joint} stiffens as it bends: {stiffness} at rest, and "

@@ -293,7 +293,22 @@ def _mechanism(
             raise read.fail(
                 f"[mechanism.parameters] {key}", "a number above 0", values[key][0].value
             )
+    if kind == "planar2r":
+        _check_masses(path, *(values[key][0].value for key in ("p1", "p2", "p3")))
     return kind, values
+
+
+def _check_masses(path: str, p1: float, p2: float, p3: float) -> None:
+    """Refuse a planar arm whose mass matrix [[p1 + 2 p3 c, p2 + p3 c], [·, p2]] is not positive at
+    some angle: p1 is the inertia of both links about the first axis, p2 of the second about its
+    own.
+    """
+    if (p1 - p2) * p2 <= p3**2:
+        raise ModelError(
+            f"{path}: [mechanism.parameters] p1 = {p1:.4g}, p2 = {p2:.4g} and p3 = {p3:.4g} kg m²"
+            f" are no arm: its mass matrix is positive where (p1 - p2) p2 ="
+            f" {(p1 - p2) * p2:.4g} exceeds p3² = {p3**2:.4g}. A unit?"
+        )
 
 
 def _fmu(read: _Reader, mechanism: Mapping[str, Any]) -> FmuPorts:

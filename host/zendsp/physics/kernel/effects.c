@@ -13,7 +13,7 @@ typedef struct {
     double delay[LANES], lag[LANES], k_spring[LANES], c_spring[LANES], j_load[LANES], gap[LANES];
     double s0[LANES], s1[LANES], bw_force[LANES], bw_a[LANES], bw_n[LANES], j_extra[LANES];
     double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES], keep[LANES];
-    double creep[LANES], creep_lead[LANES], damp[LANES], dry_load[LANES];
+    double creep[LANES], creep_lead[LANES], damp[LANES], dry_load[LANES], j_links[LANES];
     int bw_whole, whole[MAXFX][MAXP]; /* of a number in all lanes: 1 or 2 where it is that */
     int two_mass, lag_on, gapped, bristled, bent, creeps, straight, pulled, hung, late, drives,
         senses, wavy, filtered, by_rows, hidden, loaded; /* whether any lane has it */
@@ -52,6 +52,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0;
         double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
         double creep = 0, creep_lead = 0, damp = 0, dry_load = 0, keep = 0, row = M->T; /* s */
+        double j_links = 0;
         int two_mass = 0, lag_on = 0, drives = 0, senses = 0, hung = 0, loaded = 0, straight = 0;
         for (int i = 0; i < M->nfx; i++) {
             const double *p = M[l].p + i * MAXP;
@@ -62,7 +63,8 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
             }
         }
         /* nobody says how much of the inertia is the load */
-        if (two_mass && !(j_load > 0)) j_load = 0.5 * M[l].reference;
+        if (!(j_links > 0)) j_links = M[l].reference;
+        if (two_mass && !(j_load > 0)) j_load = 0.5 * j_links;
         /* nor what damps it: a twentieth of critical */
         if (c_spring < 0) c_spring = 0.1 * sqrt(k_spring * j_load);
         /* a loop knows its command before it is recorded */
@@ -90,7 +92,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->filter[l] = filter; N->keep[l] = keep;
         N->creep[l] = creep; N->creep_lead[l] = creep_lead;
         N->damp[l] = damp;
-        N->dry_load[l] = dry_load;
+        N->dry_load[l] = dry_load; N->j_links[l] = j_links;
         N->wavy |= w_amp != 0;
         N->hidden |= lag_on || delay != 0 || s0 > 0 || bw_force > 0 || creep > 0;
         N->filtered |= filter > 0; N->by_rows |= keep > 0;

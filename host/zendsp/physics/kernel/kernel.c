@@ -157,9 +157,8 @@ INLINE double cum(const zk_model *M, double t, double per_T)
 
 /* Motor and load of a joint: the motor's inertia is the same at every pose, the load's is what the
  * pose makes of it. */
-static void share_inertia(const zk_model *M, double J, double extra, double load, double *jm,
-                          double *jl) {
-    *jm = M->reference + extra - load;
+static void share_inertia(double whole, double J, double load, double *jm, double *jl) {
+    *jm = whole - load;
     if (*jm < 0.02 * J) *jm = 0.02 * J;
     if (*jm > 0.98 * J) *jm = 0.98 * J;
     *jl = J - *jm;

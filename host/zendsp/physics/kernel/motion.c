@@ -82,7 +82,7 @@ INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l, double hangs
     const zk_model *M = &O->M[l];
     const double k = O->N->k_spring[l], k3 = O->N->k_cubic[l], extra = O->N->j_extra[l];
     double jm, jl;
-    share_inertia(M, M->inertia[0] + extra, extra, O->N->j_load[l], &jm, &jl);
+    share_inertia(O->N->j_links[l] + extra, M->inertia[0] + extra, O->N->j_load[l], &jm, &jl);
     const double push = jl * M->a0 + M->bias[0] + O->N->gravity[l] * sin(M->q0) + hangs +
                         O->N->dry_load[l] * sgn(M->qd0);
     double bent = k > 0 ? push / k : 0.0;

@@ -17,7 +17,7 @@ INLINE void OF(rigid_body)(const OF(task) *O, OF(motion) *X, int k, const OF(ser
     if (O->two_mass)
         for (int l = 0; l < LANES; l++) {
             double motor, beyond;
-            share_inertia(&M[l], X->jm[l], N->j_extra[l], N->j_load[l], &motor, &beyond);
+            share_inertia(N->j_links[l] + N->j_extra[l], X->jm[l], N->j_load[l], &motor, &beyond);
             X->jm[l] = motor;
             X->per_jl[l] = 1.0 / beyond;
         }
