@@ -283,42 +283,59 @@ def find_tcp(name: str) -> str:
     return next(e for entry in local_entries() if entry.name == name for e in entry.endpoints[1:])
 
 
-def test_stop_is_confirmed_by_the_loops_without_waiting_for_frozen_targets(
-    start: Callable[..., Target],
-    typed: Callable[..., tuple[object, str, str]],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+def _typed_alone(*words: str) -> tuple[int, str, str, bool]:
+    """Status, output, errors, and whether Zenoh was loaded, of a command in a process of its own.
+    """
+    code = (
+        "import sys\n"
+        "from zendsp.cli import main\n"
+        "try:\n"
+        "    main()\n"
+        "finally:\n"
+        "    print('zenoh' in sys.modules)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    said, _, loaded = done.stdout.rstrip("\n").rpartition("\n")
+    return done.returncode, said, done.stderr, loaded == "True"
+
+
+def test_a_stop_that_the_loops_confirm_returns_without_a_link(
+    start: Callable[..., Target], typed: Callable[..., tuple[object, str, str]]
 ) -> None:
     targets = [start(name=name, options=["--no-realtime"]) for name in ("left", "right")]
     for target in targets:
         target.download("pd.c")
         target.start()
-    both, heard = threading.Barrier(2), [""]
-
-    def linked(name: str, *_: Any, **__: Any) -> Target:
-        """A link that nobody answers, until both words have come."""
-        both.wait(PATIENCE_S)
-
-        def told() -> bool:
-            heard[0] += capsys.readouterr().out
-            return "left: stopped, at sample" in heard[0] and "right: stopped" in heard[0]
-
-        until(told, "the word of both loops", lambda: heard[0])
-        both.wait(PATIENCE_S)
-        raise LinkError("nobody answers")
-
-    monkeypatch.setattr("zendsp.link.connect", linked)
     pids = [target.info.pid for target in targets]
     try:
-        for pid in pids:
+        for pid in pids:  # who would ask them would wait
             freeze(pid)
-        assert typed("stop")[0] == 0
+        status, said, wrong, linked = _typed_alone("stop")
     finally:
         for pid in pids:
             os.kill(pid, signal.SIGCONT)
-    assert not both.broken
-    for target in targets:
-        until(lambda target=target: target.status().trip is not None, "it is latched")
+    assert (status, wrong, linked) == (0, "", False)
+    told = {line.partition(":")[0]: line for line in said.splitlines()}
+    assert told == {
+        target.name: f"{target.name}: stopped, at sample {_latched(target)}" for target in targets
+    }
+
+
+def test_a_stop_after_a_trip_says_what_tripped(target: Target, runtime: Runtime) -> None:
+    target.set_limits(torque_max=[0.01, 0.01])
+    until(lambda: target.status().trip is not None, "the trip")
+    trip = target.status().trip
+    assert trip is not None and trip.reason != "stop"
+    page = find("paged")
+    assert page is not None and page.taken(page.ask(), PATIENCE_S) == trip.tick
+    assert not page.by_stop()
+    status, said, wrong, linked = _typed_alone("stop")
+    assert (status, wrong, linked) == (0, "", True)
+    assert said == f"stopped, at sample {trip.tick}\n({trip.text})"
+    target.acknowledge()
+    assert page.taken(page.ask(), PATIENCE_S) is not None and page.by_stop()
 
 
 def test_a_target_that_did_not_stop_is_reported_while_another_is_silent(

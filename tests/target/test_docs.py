@@ -34,7 +34,8 @@ def test_the_stop_page_is_as_the_protocol_tells_clients_of_others() -> None:
     assert {name: int(word, 0) for name, word in words} == {
         "magic": stop_page.MAGIC, "version": stop_page.VERSION,
     }  # fmt: skip
-    assert f"`by` ({stop_page.SIZE - stop_page.BY} bytes of UTF-8, at {stop_page.BY}" in text
+    assert f"`by` ({stop_page.REASON - stop_page.BY} bytes of UTF-8, at {stop_page.BY}" in text
+    assert f"`reason` (uint32, at {stop_page.REASON})" in text
 
 
 def test_the_program_of_the_page_controls_the_machine_of_the_page(

@@ -90,7 +90,10 @@ typedef struct stop_page {
     uint32_t trips;  /* by the loop: trips latched, and STOPs asked while one was */
     uint64_t sample; /* by the loop, before it counts `taken`: that of the trip latched then */
     uint64_t taken;  /* by the loop: STOPs from here whose safe outputs the machine has */
-    char by[LAYOUT_WHO]; /* by whoever asks, before `stop`: who, and when; UTF-8, ended by 0 */
+    /* by whoever asks, before `stop`: who, and when; UTF-8, ended by 0. They clear `reason` */
+    char by[LAYOUT_WHO - 8];
+    uint32_t reason; /* by the loop, before it counts `taken`: TRIP_… of the trip latched then */
+    uint32_t unused;
 } stop_page;
 
 /* One entry of the dictionary. Written by the runner before PHASE_READY, then constant; `table`

@@ -27,7 +27,7 @@ void safety_trip(runner *r, uint32_t reason, int joint, double value, double lim
     c->trip.limit = limit;
     memset(c->trip.by, 0, sizeof c->trip.by);
     if (reason == TRIP_STOP)
-        memcpy(c->trip.by, r->page->by, sizeof c->trip.by - 1);
+        memcpy(c->trip.by, r->page->by, sizeof r->page->by - 1);
     store32(&c->trip.acted, 0);
     store32(&c->trip.reason, reason);
     c->gain = 0.0;
@@ -121,6 +121,7 @@ void safety_acted(runner *r) {
     if (r->state.asked) {
         r->state.asked = false;
         store64(&r->page->sample, c->trip.tick);
+        store32(&r->page->reason, c->trip.reason);
         store64(&r->page->taken, r->page->taken + 1);
     }
 }

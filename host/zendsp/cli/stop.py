@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import resource
+import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -80,7 +81,7 @@ def command(
     failed = 0
     told = set()
     try:
-        for name, how in _ends(asked):
+        for name, how in _ends(asked, whole=as_json):
             head = f"{name}: " if several else ""
             if isinstance(how, NotStopped):
                 failed += 1
@@ -111,6 +112,7 @@ class _Asked:
     page: StopPage | None = None
     before: int = 0  # what the page said
     at: str = ""  # of one of several of this name: where it is
+    sample: int | None = None  # at which its loop stopped, where that has said so
 
     @property
     def label(self) -> str:
@@ -118,14 +120,10 @@ class _Asked:
         return f"{self.name} at {self.at}" if self.at else self.name
 
     def end(self, tell: _Tell) -> None:
-        """Report the answer of the loop as soon as it is there, then that of the target's own
-        process.
-        """
-        from zendsp.here.stopped import TAKEN_S, stopped_at
+        """Report the answer of the target's own process, or of a loop that was late."""
+        from zendsp.here.stopped import stopped_at
 
-        sample = None if self.page is None else self.page.taken(self.before, TAKEN_S)
-        if sample is not None:
-            tell(self.label, stopped_at(sample))
+        sample = self.sample
         if _little_memory():
             if sample is None:
                 raise NotStopped(f"{EMERGENCY} ({TOO_LITTLE})")
@@ -191,8 +189,34 @@ def _ask_all(names: Sequence[str], connect: str | None) -> list[_Asked | _Place]
     return all_asked or [ask("", connect, False)]
 
 
-def _ends(asked: Sequence[_Asked | _Place]) -> Iterator[tuple[str, m.Status | NotStopped]]:
-    """How each STOP ended, as reported; for each target the last report counts."""
+def _ends(
+    asked: Sequence[_Asked | _Place], whole: bool
+) -> Iterator[tuple[str, m.Status | NotStopped]]:
+    """How each STOP ended, as reported; for each target the last report counts. What its loop
+    confirms is reported first, and no link is opened for it unless there is more to say: which trip
+    came before, or with ``whole`` the whole status.
+    """
+    from zendsp.here.stopped import TAKEN_S, stopped_at
+
+    deadline = time.monotonic() + TAKEN_S
+    left: list[_Asked | _Place] = []
+    for one in asked:
+        if isinstance(one, _Asked) and one.page is not None:
+            sample = one.page.taken(one.before, max(0.0, deadline - time.monotonic()))
+            if sample is not None:
+                yield one.label, stopped_at(sample)
+                if one.page.by_stop() and not whole:
+                    continue
+            one = replace(one, sample=sample)
+        left.append(one)
+    if left:
+        yield from _ends_by_link(left)
+
+
+def _ends_by_link(
+    asked: Sequence[_Asked | _Place],
+) -> Iterator[tuple[str, m.Status | NotStopped]]:
+    """How each STOP ended, as reported by the targets' own processes."""
     words: SimpleQueue[tuple[str, m.Status | NotStopped] | None] = SimpleQueue()
 
     def all_of_them() -> None:

@@ -41,7 +41,8 @@ class StopPage:
     def ask(self) -> int:
         """STOP from the next sample on; returns a number for `taken`. Never waits."""
         before = self._words[page.TAKEN // 8]
-        self._map[page.BY : page.SIZE] = page.signed(self._author)
+        self._map[page.BY : page.REASON] = page.signed(self._author)
+        self._map[page.REASON : page.SIZE] = bytes(page.SIZE - page.REASON)
         self._map[page.STOP] = 1
         return before
 
@@ -66,6 +67,13 @@ class StopPage:
                 return None
             time.sleep(POLL_S)
         return self._words[page.SAMPLE // 8]
+
+    def by_stop(self) -> bool:
+        """Whether a STOP is what is latched, once one is `taken`. Otherwise a trip was latched
+        before it, or the target is of an older version, which does not say.
+        """
+        (reason,) = struct.unpack_from("=I", self._map, page.REASON)
+        return bool(reason == page.BY_STOP)
 
 
 def own_name(identity: str = "") -> str:

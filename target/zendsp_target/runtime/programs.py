@@ -157,7 +157,7 @@ class Programs:
         acknowledged. Never waits.
         """
         head = self._page.pointer("stop_page")
-        layout()[0].memmove(head.by, stop_page.signed(author), stop_page.SIZE - stop_page.BY)
+        layout()[0].memmove(head.by, stop_page.signed(author), stop_page.REASON - stop_page.BY)
         layout()[1].monitor_store32(self._stop, 1)
 
     def latched(self) -> Trip | None:
