@@ -28,6 +28,7 @@ MAY = {
     "host/zendsp/cli/salvage.py": (2, "shown"),
     "host/zendsp/lab_keys.py": (5, "certificates are good until a day"),
     "host/zendsp/link/metadata.py": (1, "kept in the recording"),
+    "host/zendsp/one_writer.py": (1, "shown: since when somebody writes into a folder"),
     "host/zendsp/physics/model.py": (1, "whether a file is another one: equal or not"),
     "host/zendsp/physics/robots/mjcf.py": (1, "whether a file is another one: equal or not"),
     "host/zendsp/physics/robots/robot.py": (1, "whether a file is another one: equal or not"),

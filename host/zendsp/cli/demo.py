@@ -11,6 +11,7 @@ import click
 from zendsp.cli.common import check_writable, emit, end_softly, json_option
 from zendsp.cli.completing import machines
 from zendsp.errors import ZendspError
+from zendsp.one_writer import one_writer
 
 
 @click.command("demo")
@@ -67,9 +68,10 @@ def command(
     end_softly()
     narrator = Narrator(quiet=as_json)
     try:
-        told = run_demo(
-            out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator
-        )
+        with one_writer(out, "zendsp demo"):
+            told = run_demo(
+                out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator
+            )
     except KeyboardInterrupt:
         click.echo("ended early; the simulated machine ended with it", err=True)
         raise

@@ -8,7 +8,7 @@ import shlex
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ from zendsp.cli.common import check_writable, end_softly, out_option
 from zendsp.cli.completing import models
 from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError
+from zendsp.one_writer import one_writer
 from zendsp_protocol.texts import shown
 
 if TYPE_CHECKING:
@@ -118,10 +119,11 @@ def command(
         inputs = (model_path, *_described_in(model_path), *train, *heldout)
         _keep_inputs(out, inputs, train if each else ())
     asked = _Asked(train, model_path, heldout, out, not no_figures, as_json, seed, cores, effects)
-    if each:
-        _each(asked, scheduler)
-    else:
-        _together(asked, run_on)
+    with nullcontext() if out is None else one_writer(out, "zendsp diagnose"):
+        if each:
+            _each(asked, scheduler)
+        else:
+            _together(asked, run_on)
 
 
 def _described_in(model: Path) -> list[Path]:
