@@ -8,12 +8,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
+import threading
 from functools import partial
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S, until
 
 from zendsp.proof import children
 from zendsp.proof.build_case import Request
@@ -21,16 +21,6 @@ from zendsp.proof.cases import write_all
 from zendsp.proof.score import answers, diagnose
 from zendsp.proof.seal import open_truth
 from zendsp_isr.build import cache_root
-
-DEADLINE = 30.0  # s, for what takes milliseconds on a machine that is not busy
-
-
-def until(done: Callable[[], bool], what: str) -> None:
-    """Wait for a condition."""
-    end = time.monotonic() + DEADLINE
-    while not done():
-        assert time.monotonic() < end, f"{what}: not within {DEADLINE:g} s"
-        time.sleep(0.02)
 
 
 def gone(pid: int) -> bool:
@@ -123,6 +113,36 @@ def test_interrupt_ends_the_children_and_leaves_at_once(tmp_path: Path) -> None:
     assert not (tmp_path / "c").exists()  # what waited is never begun
 
 
+def test_a_thread_that_comes_late_begins_no_child_once_all_are_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late, end_all = threading.Event(), children.end_all
+
+    def begin() -> None:
+        late.wait(PATIENCE_S)
+        children.run([sys.executable, "-c", "pass"], tmp_path / "late", 600.0)
+
+    def ended() -> None:
+        end_all()
+        late.set()
+
+    monkeypatch.setattr(children, "end_all", ended)
+    begun = []
+
+    def interrupted() -> None:
+        with children.workers(children.threads(1)) as pool:
+            begun.append(pool.submit(begin))
+            until(begun[0].running, "a thread has it")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    with pytest.raises(InterruptedError):
+        begun[0].result()
+    ended_well = children.run([sys.executable, "-c", "pass"], tmp_path / "after", 600.0)
+    assert ended_well.status == 0, "the next run of the same process"
+
+
 STAND_IN = """
 import json, os, pathlib, sys
 out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
@@ -145,7 +165,7 @@ def test_cases_are_made_and_asked_on_a_dask_cluster(tmp_path: Path) -> None:
         address = cluster.scheduler_address
         there = write_all(wanted, tmp_path / "dc", tmp_path / "dt", scheduler=address)
         folders = sorted((tmp_path / "dc").iterdir())
-        said = dict(answers(folders, tmp_path / "r.json", 1, DEADLINE, ask, scheduler=address))
+        said = dict(answers(folders, tmp_path / "r.json", 1, PATIENCE_S, ask, scheduler=address))
     assert here == there and len(open_truth(tmp_path / "dt", there)) == 2
     assert set(said) == {f.name for f in folders}
     # the parent of the command, which it gave as its noise floor, is the worker

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S, until
 
 from zendsp.proof import cases, programme, run_proof
 from zendsp.proof.answer import Answer, Finding
@@ -194,3 +198,28 @@ def test_a_request_without_a_usable_draw_is_left_out_and_said(
     assert "case_0002 left out: the loop is nearly unstable" in capsys.readouterr().err
     assert [p.name for p in made.cases.iterdir()] == ["case_0001"]
     assert set(open_truth(made.truth, made.stamp)) == {"case_0001"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_proof_that_is_ended_says_what_is_kept_and_how_to_go_on(
+    number: signal.Signals, made: Path
+) -> None:
+    line = (sys.executable, "-c", "from zendsp.cli import main; main()", "prove")
+    process = subprocess.Popen(
+        [*line, "--judge", str(made), "--jobs", "1"], stderr=subprocess.PIPE, text=True
+    )
+    reports = made / "zendsp_reports"
+    until(lambda: list(reports.glob("*/stderr.txt")), "the first diagnosis runs")
+    second = subprocess.run(
+        [*line, "--judge", str(made)], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    said = " ".join(second.stderr.split())
+    assert second.returncode == 2, said
+    assert f":{process.pid}) writes there since" in said, said
+    process.send_signal(number)
+    said = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == 130
+    kept = f"{made} keeps what is done (0 of 2 cases answered): the same command goes on there"
+    assert kept in said, said
+    running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True)
+    assert str(made) not in running.stdout, "a diagnosis goes on"

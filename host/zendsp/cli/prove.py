@@ -4,16 +4,19 @@ counts the answers.
 
 from __future__ import annotations
 
+import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import out_option
+from zendsp.cli.common import end_softly, out_option
 from zendsp.extras import installed, need
+from zendsp.one_writer import one_writer
 
 if TYPE_CHECKING:
     from zendsp.proof.programme import Prepared
@@ -167,50 +170,100 @@ def command(
     # small matrices in many processes: more threads of the linear algebra only wait for each other
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    end_softly()
     cores = jobs or os.cpu_count() or 1
     if real or implant:
         if fetch:
             fetch_absent(data_folder(data))
-        sys.exit(
-            on_real_machines(
-                data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only,
-                quick=quick, jobs=cores,
+        folder = out or Path("proof_real")
+        with _alone_in(folder, lambda: _kept_of_machines(folder, implant)):
+            status = on_real_machines(
+                data_folder(data), folder, limit, implant=implant, only=only, quick=quick,
+                jobs=cores,
             )
-        )
+        sys.exit(status)
     if make_only is not None and judge_only is not None:
         raise click.UsageError(
             "--make writes cases and --judge judges them: give one, or neither for both"
         )
-    try:
-        if judge_only is not None:
-            made, words = prepared(judge_only), f"zendsp prove --judge {judge_only.name}"
-        else:
-            # some cases are written as such files: better said now than after an hour
-            for module, extra in (("pyarrow", "parquet"), ("h5py", "hdf5")):
-                need(module, extra, "zendsp prove")
-            makers = realities(reality)
-            if given == "mjcf" and "mujoco" not in makers:
-                raise click.UsageError("--given mjcf needs the reality mujoco: its arms are asked")
-            folder = make_only or out or Path(f"proof_{'quick_' if quick else ''}{seed}")
-            if not resume:
-                forget(folder)
-            made = making(folder, makers, seed, quick, sample or 0, given, cores, scheduler)
-            words = _words(makers, seed, quick, sample, given)
-    except (FileExistsError, FileNotFoundError) as error:
-        raise click.ClickException(str(error)) from error
-    if make_only is not None:
-        count = len(list(made.cases.iterdir()))
-        click.echo(f"{count} cases in {made.cases}; truth sealed in {made.truth}: {made.stamp}")
-        return
+    folder = judge_only or make_only or out or Path(f"proof_{'quick_' if quick else ''}{seed}")
+    with _alone_in(folder, lambda: _kept_of_cases(folder)):
+        try:
+            if judge_only is not None:
+                made, words = prepared(judge_only), f"zendsp prove --judge {judge_only.name}"
+            else:
+                # some cases are written as such files: better said now than after an hour
+                for module, extra in (("pyarrow", "parquet"), ("h5py", "hdf5")):
+                    need(module, extra, "zendsp prove")
+                makers = realities(reality)
+                if given == "mjcf" and "mujoco" not in makers:
+                    raise click.UsageError(
+                        "--given mjcf needs the reality mujoco: its arms are asked"
+                    )
+                if not resume:
+                    forget(folder)
+                made = making(folder, makers, seed, quick, sample or 0, given, cores, scheduler)
+                words = _words(makers, seed, quick, sample, given)
+        except (FileExistsError, FileNotFoundError) as error:
+            raise click.ClickException(str(error)) from error
+        if make_only is not None:
+            count = len(list(made.cases.iterdir()))
+            click.echo(f"{count} cases in {made.cases}; truth sealed in {made.truth}: {made.stamp}")
+            return
+        outcome = judging(made, cores, scheduler, limit, peers, words)
     from zendsp.proof.scoreboard import missed_marks
 
-    outcome = judging(made, cores, scheduler, limit, peers, words)
     if page is not None:
         page.write_text(outcome.page.read_text(encoding="utf-8"), encoding="utf-8")
     missed = missed_marks(outcome.judged) if strict else []
     for line in missed:
         click.echo(f"below the mark: {line}", err=True)
     sys.exit(1 if missed or any(j.trouble for j in outcome.judged) else 0)
+
+
+@contextmanager
+def _alone_in(folder: Path, kept: Callable[[], str]) -> Iterator[None]:
+    """Keep another proof out of the folder of a run. After Ctrl-C or SIGTERM it is printed what is
+    kept, and how to go on; its children have ended by then.
+    """
+    with one_writer(folder, "zendsp prove"):
+        try:
+            yield
+        except KeyboardInterrupt:
+            click.echo(kept(), err=True)
+            raise
+
+
+def _kept_of_cases(folder: Path) -> str:
+    """What a run that was interrupted has left in its folder."""
+    note = folder / "programme.json"
+    if not note.exists():
+        return "nothing is made yet, nothing is kept"
+    asked = json.loads(note.read_text(encoding="utf-8"))
+    log = folder / "zendsp.jsonl"
+    answered = len(log.read_text(encoding="utf-8").splitlines()) if log.exists() else 0
+    made = len(list((folder / "cases").glob("case_*")))
+    what = (
+        f"{answered} of {made} cases answered"
+        if asked["stamp"]
+        else f"{made} of {len(asked['requests'])} cases made, none answered"
+    )
+    return (
+        f"{folder} keeps what is done ({what}): the same command goes on there, --fresh begins anew"
+    )
+
+
+def _kept_of_machines(folder: Path, implant: bool) -> str:
+    """What an interrupted run on real recordings has left in its folder."""
+    if implant:
+        return (
+            f"{folder / 'implants'} keeps each diagnosis that has ended: the same command goes on"
+            " there"
+        )
+    return (
+        f"{folder} keeps the reports of the machines above: the same command begins with the first"
+        " again, --only looks at one"
+    )
 
 
 def _words(makers: Sequence[str], seed: int, quick: bool, sample: int | None, given: str) -> str:

@@ -60,6 +60,7 @@ def environment() -> dict[str, str]:
 
 _running: set[subprocess.Popen[bytes]] = set()
 _lock = threading.Lock()
+_over = threading.Event()  # all are being ended: none begins
 
 
 def run(line: Sequence[str], out: Path, limit: float) -> Ended:
@@ -70,13 +71,18 @@ def run(line: Sequence[str], out: Path, limit: float) -> Ended:
     env = environment()
     begin = time.perf_counter()
     with (out / "stderr.txt").open("w") as errors, (out / "stdout.txt").open("w") as output:
-        process = subprocess.Popen(
-            line, stdout=output, stderr=errors, env=env, start_new_session=True
-        )
         with _lock:
+            if _over.is_set():
+                raise InterruptedError("the proof has been ended")
+            process = subprocess.Popen(
+                line, stdout=output, stderr=errors, env=env, start_new_session=True
+            )
             _running.add(process)
         try:
             status, cpu = wait(process, begin + limit)
+        except BaseException:  # Ctrl-C
+            end(process)
+            raise
         finally:
             with _lock:
                 _running.discard(process)
@@ -106,8 +112,9 @@ def end(process: subprocess.Popen[bytes]) -> None:
 
 
 def end_all() -> None:
-    """End every child that runs now."""
+    """End every child that runs now, and let none begin."""
     with _lock:
+        _over.set()
         for process in _running:
             end(process)
 
@@ -117,15 +124,18 @@ def workers(pool: AbstractContextManager[Executor]) -> Iterator[Executor]:
     """The executor of `pool`; an exception drops what waits and ends what runs before the block is
     left.
     """
-    with pool as executor:
-        try:
-            yield executor
-        except BaseException:
-            executor.shutdown(wait=False, cancel_futures=True)
-            end_all()
-            for process in multiprocessing.active_children():
-                process.kill()
-            raise
+    try:
+        with pool as executor:
+            try:
+                yield executor
+            except BaseException:
+                executor.shutdown(wait=False, cancel_futures=True)
+                end_all()
+                for process in multiprocessing.active_children():
+                    process.kill()
+                raise
+    finally:
+        _over.clear()
 
 
 def threads(jobs: int) -> AbstractContextManager[Executor]:
@@ -148,3 +158,5 @@ def cluster(address: str) -> Iterator[Executor]:
 def _child(parent: int) -> None:
     die_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent answers Ctrl-C for all
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
