@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -11,6 +13,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import zendsp
+import zendsp_isr
 from zendsp.cli.reference import command
 from zendsp.errors import ReferenceError_
 from zendsp.reference import (
@@ -22,6 +26,7 @@ from zendsp.reference import (
     plot_reference,
     save_reference,
 )
+from zendsp.reference.machine import EXAMPLE
 
 
 def test_dynamics_of_the_wam_are_pinocchios_to_1e_9(wam_of_pinocchio: Any) -> None:
@@ -126,3 +131,73 @@ def test_a_reference_of_another_machine_is_refused_or_told(tmp_path: Path) -> No
     with pytest.raises(ReferenceError_, match="is in m, pendulum is in rad"):
         make_from_file(load_machine("pendulum"), path=file)
     assert make_from_file(replace(load_machine(str(slide)), name="b"), path=file).machine == "b"
+
+
+def test_a_description_that_lacks_keys_is_refused_with_all_of_them_and_a_whole_one(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "part.toml"
+    file.write_text('name = "x"\n[limits]\nspeed = [1.0]\n')
+    with pytest.raises(ReferenceError_) as refused:
+        load_machine(str(file))
+    said = str(refused.value)
+    lacks = "kind, joints, sample_time, home, [limits] position_min, [limits] position_max,"
+    assert f"lacks {lacks} [limits] acceleration, [limits] torque." in said
+    assert "--target NAME" in said and "arm.urdf" in said
+    assert EXAMPLE in said
+    whole = tmp_path / "whole.toml"
+    whole.write_text(EXAMPLE)
+    assert load_machine(str(whole)).joints == 2, "the example is one"
+    model = tmp_path / "model.toml"
+    model.write_text('name = "arm"\n[mechanism]\nkind = "planar2r"\n')
+    with pytest.raises(ReferenceError_, match=r"model of a diagnosis.*--target NAME"):
+        load_machine(str(model))
+
+
+def _limits(*words: str) -> dict[str, list[float | None]]:
+    """Those that a motion was planned within, as ``zendsp reference KIND --json`` says."""
+    done = CliRunner().invoke(command, ["point-to-point", "--goal", "0.1", "--json", *words])
+    assert done.exit_code == 0, done.output
+    said: dict[str, list[float | None]] = json.loads(done.stdout)["limits"]
+    return said
+
+
+def test_a_running_target_tells_the_limits_to_plan_within(tmp_path: Path) -> None:
+    shipped = Path(zendsp_isr.__file__).parent / "machines"
+    own = tmp_path / "own.c"
+    text = (shipped / "pendulum.c").read_text()
+    for header in shipped.glob("*.h"):
+        shutil.copy(header, tmp_path)
+    own.write_text(text.replace('"pendulum"', '"own"'))
+    with zendsp.local(str(own), clock="fast") as target:
+        declared = _limits("--target", target.name)
+        assert target.status().state == "empty", "nothing is left loaded"
+        target.download("torque_steps.c")
+        target.set_limits(speed_max=[3.0])
+        joint = target.machine().joints[0]
+        running = _limits("--target", target.name)
+    assert declared["speed"] == [joint.speed_max] and declared["torque"] == [joint.torque_max]
+    assert running == {**declared, "speed": [3.0]}
+    both = CliRunner().invoke(command, ["step", "--machine", "wam7", "--target", "any"])
+    assert both.exit_code == 2 and "give one of them" in both.output
+
+
+URDF = """<robot name="arm"><link name="base"/>
+<link name="l1"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>
+<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1.2" velocity="2.5" effort="30"/></joint></robot>
+"""
+
+
+def test_a_urdf_tells_the_limits_to_plan_within(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    file = tmp_path / "arm.urdf"
+    file.write_text(URDF)
+    assert _limits("--machine", str(file)) == {
+        "position_min": [-1.0], "position_max": [1.2], "speed": [2.5], "acceleration": [None],
+        "torque": [30.0],
+    }  # fmt: skip
+    absent = CliRunner().invoke(command, ["step", "--machine", str(tmp_path / "absent.urdf")])
+    assert isinstance(absent.exception, ReferenceError_)
+    assert "no such file" in str(absent.exception)

@@ -12,6 +12,9 @@ from typing import Any
 
 import click
 
+from zendsp.cli.completing import targets
+from zendsp.cli.planned_for import machine_for
+
 # A stand-in where the machine decides: the option's help then says so.
 MACHINE_DEFAULT = "of the machine"
 COLUMNS = ((10, 4), (10, 4), (9, 3), (9, 2), (9, 3))  # width and decimals
@@ -124,6 +127,19 @@ def _made(
     return summary
 
 
+_MACHINE = (
+    click.option("--connect", metavar="ENDPOINT", help="Where to reach the target."),
+    click.option(
+        "-t", "--target", default="", metavar="NAME", shell_complete=targets,
+        help="Take the limits of this running target.",
+    ),
+    click.option(
+        "--machine", "machine_name", default=None,
+        help="imi_planar, pendulum, wam7, a .toml description, or a robot's file (.urdf, .xml).",
+    ),
+)
+
+
 def _common(function: Any) -> Any:
     """A command with the options of every kind."""
     for option in (
@@ -142,10 +158,7 @@ def _common(function: Any) -> Any:
             type=click.Path(dir_okay=False),
             help="Write it: the .mat file that Execute plays.",
         ),
-        click.option(
-            "--machine", "machine_name", default=None,
-            help="imi_planar, pendulum, wam7, or a .toml description.",
-        ),
+        *_MACHINE,
     ):
         function = option(function)
     return function
@@ -167,7 +180,6 @@ def _make_command(kind: Any) -> click.Command:
     """The subcommand of one kind, with an option for each of its parameters."""
 
     def run(
-        machine_name: str | None,
         out: str | None,
         plot: str | None,
         as_json: bool,
@@ -177,9 +189,10 @@ def _make_command(kind: Any) -> click.Command:
     ) -> None:
         from zendsp.reference import MACHINES, load_machine, make_reference
 
-        if machine_name is None:
-            machine_name = next(name for name in MACHINES if kind.fits(load_machine(name)))
-        machine = load_machine(machine_name)
+        asked = given.pop("machine_name"), given.pop("target") or "", given.pop("connect")
+        machine = machine_for(*asked) or next(
+            one for one in map(load_machine, MACHINES) if kind.fits(one)
+        )
         chosen = {name: value for name, value in given.items() if value is not None}
 
         def make() -> Any:
@@ -265,9 +278,21 @@ def command() -> None:
 @click.option(
     "--machine", "machine_name", default=None, help="Check against this machine instead of its own."
 )
+@click.option(
+    "-t", "--target", default="", metavar="NAME", shell_complete=targets,
+    help="Check against the limits of this running target.",
+)
+@click.option("--connect", metavar="ENDPOINT", help="Where to reach the target.")
 @click.option("--plot", type=click.Path(dir_okay=False), help="Draw it: .png, .svg or .pdf.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of the table.")
-def show(file: str, machine_name: str | None, plot: str | None, as_json: bool) -> None:
+def show(
+    file: str,
+    machine_name: str | None,
+    target: str,
+    connect: str | None,
+    plot: str | None,
+    as_json: bool,
+) -> None:
     """Read a reference file, check it against the limits, print its extremes.
 
     Example:  zendsp reference show circle.mat
@@ -276,7 +301,8 @@ def show(file: str, machine_name: str | None, plot: str | None, as_json: bool) -
     from zendsp.reference import load_machine, load_reference
 
     reference = load_reference(file)
-    name = machine_name or reference.machine
-    if not name:
-        raise ReferenceError_(f"{file} names no machine: say which with --machine")
-    _finish(lambda: reference, load_machine(name), None, plot, as_json, check=True)
+    machine = machine_for(machine_name, target, connect)
+    if machine is None and not reference.machine:
+        raise ReferenceError_(f"{file} names no machine: say which with --machine or --target")
+    machine = machine or load_machine(reference.machine)
+    _finish(lambda: reference, machine, None, plot, as_json, check=True)

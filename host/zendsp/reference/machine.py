@@ -26,6 +26,10 @@ from zendsp_protocol.texts import counted
 from zendsp_protocol.views import html_table, sentence
 
 MACHINES = ("imi_planar", "pendulum", "wam7")
+OTHERS = (
+    "'zendsp reference KIND --target NAME' takes the limits of a running target, --machine"
+    " arm.urdf (or .xml) those of a robot's file"
+)
 LIMITS_ONLY = "limits"  # kind of a machine without a model
 UNPREDICTED = "torque is not predicted: of this machine only the limits are known"
 JUMPS = "only positions are checked: a step has no speed, and how a loop answers it is not known"
@@ -257,6 +261,7 @@ def make_limited(
 _KEYS = ("name", "title", "kind", "joints", "sample_time", "home", "unit", "limits", "parameters")
 _UNITS = ("rad", "m", "rad or m")
 _LIMITS = ("position_min", "position_max", "speed", "acceleration", "torque")
+_WHOLE = ("name", "kind", "joints", "sample_time", "home")  # none does without; and [limits]
 _LINK = ("a", "alpha_deg", "d", "mass", "com", "inertia")
 _PARAMETERS = {
     "planar2r": ("p1", "p2", "p3", "l1", "l2", "viscous", "coulomb", "current_loop"),
@@ -289,8 +294,40 @@ def _refuse_unknown(data: Mapping[str, Any], origin: str) -> None:
         raise ReferenceError_("\n".join(said))
 
 
+EXAMPLE = """\
+name = "my_arm"
+kind = "limits"
+unit = "rad"                   # of positions; "m" where joints slide
+joints = 2
+sample_time = 0.001            # s
+home = [0.0, 0.0]
+[limits]                       # inf where there is none
+position_min = [-1.5, -1.5]    # rad
+position_max = [1.5, 1.5]
+speed = [2.0, 2.0]             # rad/s
+acceleration = [10.0, 10.0]    # rad/s^2
+torque = [50.0, 20.0]          # N m"""
+
+
+def _refuse_incomplete(data: Mapping[str, Any], origin: str) -> None:
+    """Refuse a description with all that it lacks, and a whole one beside it."""
+    if "mechanism" in data:
+        raise ReferenceError_(
+            f"{origin} is the model of a diagnosis, which states no limits: {OTHERS}"
+        )
+    limits = data.get("limits", {})
+    lacks = [key for key in _WHOLE if key not in data]
+    lacks += [f"[limits] {key}" for key in _LIMITS if key not in limits]
+    if lacks:
+        raise ReferenceError_(
+            f"{origin} lacks {', '.join(lacks)}. Of a machine without a model all of it is:\n"
+            f"{EXAMPLE}\nOr {OTHERS}"
+        )
+
+
 def _parse(data: Mapping[str, Any], origin: str) -> Machine:
     try:
+        _refuse_incomplete(data, origin)
         _refuse_unknown(data, origin)
         return Machine(
             name=data["name"],
@@ -340,8 +377,8 @@ def load_machine(name: str) -> Machine:
     if path.suffix != ".toml" or not path.is_file():
         raise ReferenceError_(
             f'no machine "{name}": expected {", ".join(MACHINES)} or the path of a .toml'
-            " description; for any other, start its target and plan in the terminal (zendsp tui,"
-            " F4)"
+            f" description. For any other: {OTHERS}, and the terminal plans for the target that it"
+            " shows (zendsp tui, F4)"
         )
     try:
         return _parse(written.toml(path.read_text()), str(path))

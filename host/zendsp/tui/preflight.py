@@ -6,20 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from zendsp.errors import ReferenceError_
 from zendsp.reference import (
     JUMPS,
     MACHINES,
     UNPREDICTED,
-    Limits,
     Machine,
     Reference,
     check_fits,
     load_machine,
-    make_limited,
 )
+from zendsp.reference.told import machine_told, shipped
 from zendsp.tui.actions import in_keys
 from zendsp.tui.playing import Setup, find_player, present_position
 from zendsp.tui.port import Port
@@ -43,27 +40,9 @@ def machine_of(snapshot: Snapshot) -> Machine | None:
     tells; None while neither is known.
     """
     said, limits = snapshot.described, snapshot.limits
-    name = said.name if said is not None else snapshot.machine
-    if name in MACHINES and not (said is not None and said.model):
-        machine = load_machine(name)
-        if said is None or len(said.joints) == machine.joints:
-            return machine
-    if said is None or limits is None:
-        return None
-    units = {joint.unit for joint in said.joints}
-    return make_limited(
-        name,
-        snapshot.period_s,
-        [joint.home for joint in said.joints],
-        Limits(
-            np.array(limits.position_min),
-            np.array(limits.position_max),
-            np.array(limits.speed_max),
-            np.full(len(said.joints), np.inf),
-            np.array(limits.torque_max),
-        ),
-        "rad or m" if len(units) > 1 else units.pop(),
-    )
+    if said is None:
+        return load_machine(snapshot.machine) if snapshot.machine in MACHINES else None
+    return shipped(said) if limits is None else machine_told(said, limits, snapshot.period_s)
 
 
 def preflight(
