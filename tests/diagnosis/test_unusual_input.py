@@ -280,6 +280,7 @@ def test_the_sign_of_a_command_is_judged_where_the_motion_is_liveliest(
 ) -> None:
     seen: list[bool] = []
     monkeypatch.setattr(checks, "check_driven", lambda *_, signs: seen.append(signs))
+    monkeypatch.setattr(checks, "check_caused", lambda *_: None)
     parts = [
         SimpleNamespace(
             command=np.sin(np.arange(9.0)),
@@ -299,6 +300,7 @@ def test_a_joint_without_a_drive_is_accepted_beside_a_driven_one(
 ) -> None:
     seen: list[str] = []
     monkeypatch.setattr(checks, "check_driven", lambda where, *_, signs: seen.extend(where))
+    monkeypatch.setattr(checks, "check_caused", lambda *_: None)
     motion = SimpleNamespace(states=np.zeros((3, 9)))
     pushed, silent = (
         SimpleNamespace(command=c, motion=motion, recording="run")
@@ -356,6 +358,7 @@ def test_a_constant_command_is_refused_only_where_no_recording_drives_the_joint(
         )  # fmt: skip
 
     monkeypatch.setattr(checks, "check_driven", lambda *_, **__: None)
+    monkeypatch.setattr(checks, "check_caused", lambda *_: None)
     other = record(2, "b", -0.007, 0.1 if driven_elsewhere else -0.007)
     data: Any = SimpleNamespace(
         records=((record(1, "a", 0.0, 1.0), record(2, "a", -0.007, -0.007)),

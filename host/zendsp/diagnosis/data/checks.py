@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.data.causes import check_caused
 from zendsp.diagnosis.data.columns import cutting
 from zendsp.diagnosis.data.hangs import Hung, hangs, hung
 from zendsp.diagnosis.data.jumps import BACK, JUMP_QUANTILE, stands_out
@@ -352,6 +353,7 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> None:
             of = rec[0].recording
             parts = [part for part in data.records if part is not rec and part[0].recording == of]
             check_driven(where, rec, model, parts, signs=speed == most[of])
+            check_caused(where, rec, model)
         else:
             check_free(where, rec, model)
 
