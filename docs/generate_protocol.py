@@ -25,9 +25,8 @@ def kind(annotation: object) -> str:
     if isinstance(annotation, type):
         text = "str" if issubclass(annotation, str) else annotation.__name__
     else:
-        text = str(annotation)
+        text = re.sub(r"zendsp_protocol\.messages\.\w+\.", "", str(annotation))
     for old, new in (
-        ("zendsp_protocol.messages.", ""),
         ("zendsp_protocol.verbs.", ""),
         ("zendsp_protocol.values.", ""),
         ("typing.", ""),
