@@ -21,7 +21,7 @@ from typing import Any
 
 from zendsp.errors import AcquisitionError, CompileFailed, LinkError
 from zendsp.link import Target, Trigger, connect
-from zendsp.link.acquire import ENDED
+from zendsp.link.wait_recorded import ENDED
 from zendsp.recording import Recording
 from zendsp_isr.sources import Source
 from zendsp_protocol import messages as m

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from zendsp.errors import Incomplete
-from zendsp.link import acquire
-from zendsp.link.acquire import AFTER_TRIP_REAL_S, Recorder
+from zendsp.link import wait_recorded
+from zendsp.link.wait_recorded import AFTER_TRIP_REAL_S, wait_done
 from zendsp_protocol.messages import AcquireStatus, Status, Trip
 from zendsp_protocol.states import ProgramState, RecorderState, TripReason
 
@@ -19,7 +19,7 @@ GAP_S = AFTER_TRIP_REAL_S + 0.5
 TRIP = 5000  # sample, the first after the gap
 
 
-class Frozen(Recorder):
+class Frozen:
     """A target of 1 kHz that is frozen during a request, and then loses its host."""
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class Frozen(Recorder):
         state = ProgramState.STOPPED if trips else ProgramState.RUNNING
         return Status(state, trip=trip, tick=self.tick(), rate_hz=1e3)
 
-    def _end_ring(self, patience: float) -> None:
+    def end_ring(self, patience: float) -> None:
         self.ended_at = self.tick()
 
 
@@ -48,7 +48,7 @@ def test_an_old_status_of_a_running_target_does_not_end_a_recording(
 ) -> None:
     target = Frozen()
     time = SimpleNamespace(monotonic=lambda: target.now, sleep=lambda s: None)
-    monkeypatch.setattr(acquire, "time", time)
+    monkeypatch.setattr(wait_recorded, "time", time)
     with pytest.raises(Incomplete, match=r"was stopped before .* rows\): STOP by a host"):
-        target._wait_done(60.0, 1.0, None)
+        wait_done(target.insist, target.end_ring, 60.0, 1.0, None)
     assert TRIP + 1000 <= target.ended_at < TRIP + 1100

@@ -14,7 +14,6 @@ from zendsp.errors import (
     AcquisitionError,
     Incomplete,
     Refused,
-    RunnerDied,
     TooLarge,
     VariableError,
     ZendspError,
@@ -22,10 +21,11 @@ from zendsp.errors import (
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp.link.transfer import Transfers, room
+from zendsp.link.wait_recorded import BEGUN_ANEW, POLL_S, wait_done
 from zendsp.prompt import shows_progress
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
-from zendsp_protocol.states import Clock, ProgramState, RecorderState, TripReason
+from zendsp_protocol.states import Clock, ProgramState, RecorderState
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,12 +35,7 @@ else:
     np = Lazily("numpy")
 
 Trigger = m.Trigger
-ENDED = (RecorderState.DONE, RecorderState.IDLE)
-POLL_S = 0.02
 END_S = 2.0  # for the loop to see that a ring was stopped
-AFTER_TRIP_S = 1.0  # of the target's time: how the machine comes to rest is recorded
-AFTER_TRIP_REAL_S = 3.0  # of real time: samples may have ended
-BEGUN_ANEW = "another recording was begun on this target before this one was complete"
 SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
 
 
@@ -371,7 +366,7 @@ class Recorder(Transfers):
         if status.wanted == 0 and status.state == RecorderState.RUNNING:
             self._end_ring(patience)
         else:
-            self._wait_done(timeout, patience, progress)
+            wait_done(self.insist, self._end_ring, timeout, patience, progress)
         return self.acquire_load(note, None, patience)
 
     def _end_ring(self, patience: float) -> None:
@@ -385,84 +380,3 @@ class Recorder(Transfers):
             and time.monotonic() < deadline
         ):
             time.sleep(POLL_S)
-
-    def _wait_done(
-        self, timeout: float | None, patience: float, progress: Callable[[float], None] | None
-    ) -> m.AcquireStatus:
-        deadline = None if timeout is None else time.monotonic() + timeout
-        stood, begun = 0.0, None
-        while True:
-            status: m.AcquireStatus = self.insist("acquire_status", patience)
-            begun = status.begun if begun is None else begun
-            if status.begun != begun:
-                raise Incomplete(BEGUN_ANEW)
-            if progress is not None and status.wanted:
-                progress(min(1.0, (status.count - status.first) / status.wanted))
-            if status.state in ENDED and status.count - status.first >= status.wanted:
-                return status
-            if status.replaced:
-                raise _loadable(Incomplete(
-                    f"the program was replaced before the recording was complete "
-                    f"({status.count - status.first} of {status.wanted} rows)"
-                ))  # fmt: skip
-            overall: m.Status = self.insist("status", patience)
-            if overall.state == ProgramState.CRASHED:
-                raise _loadable(RunnerDied(overall.crash))
-            lost = overall.trip is not None and overall.trip.reason == TripReason.HOST_LOST
-            if status.state in ENDED and not lost:
-                return status  # ended before it was full, by a host
-            if status.state in ENDED:
-                raise _cut_short(overall, status)
-            running = overall.state == ProgramState.RUNNING
-            stood = 0.0 if running else stood or time.monotonic()
-            if (
-                not running
-                and not _comes_to_rest(overall, stood)
-                and self.insist("acquire_status", patience).state not in ENDED
-            ):
-                self._end_ring(patience)
-                status = self.insist("acquire_status", patience)
-                if status.count - status.first >= status.wanted:
-                    return status
-                raise _cut_short(overall, status)
-            if deadline is not None and time.monotonic() > deadline:
-                raise _loadable(
-                    Incomplete(
-                        f"the recording is not complete after {timeout:g} s ({status.count} of"
-                        f" {status.wanted} rows, {status.state})"
-                    )
-                )
-            time.sleep(POLL_S)
-
-
-def _cut_short(overall: m.Status, status: m.AcquireStatus) -> ZendspError:
-    """The error for a recording whose program ended before it was complete."""
-    rows = f"{status.count - status.first} of {status.wanted} rows"
-    why = overall.trip.text or overall.trip.reason if overall.trip is not None else ""
-    return _loadable(Incomplete(
-        f"the program was {overall.state} before the recording was complete ({rows})"
-        f"{why and f': {why}'}"
-    ))  # fmt: skip
-
-
-def _comes_to_rest(status: m.Status, stood: float) -> bool:
-    """Whether samples go on after a STOP or trip, so that the machine's coming to rest is being
-    recorded.
-
-    Parameters
-    ----------
-    status : Status
-    stood : float, s
-        When this host first saw that the program no longer runs, by its monotonic clock.
-    """
-    return (
-        status.trip is not None
-        and status.tick < status.trip.tick + AFTER_TRIP_S * status.rate_hz
-        and time.monotonic() < stood + AFTER_TRIP_REAL_S
-    )
-
-
-def _loadable(error: ZendspError) -> ZendspError:
-    """Add to an error how to load what was recorded."""
-    error.add_note("acquire_load() brings home what was recorded")
-    return error
