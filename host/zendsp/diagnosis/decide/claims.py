@@ -25,6 +25,8 @@ def needed(joints: int) -> float:
     """
     return math.log(joints * len(LAWS_OF) / FALSE_DISCOVERIES)
 
+RIGID = (0.0, 1.0)  # laws of a coupling that rigid bodies have: inertia and coriolis
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -75,6 +77,11 @@ class Claim:
     # of its confidence, where doubted laws beside it may absorb what it leaves
     most: float = 1.0
     why: str = ""  # why its law is not named, where it is not
+
+    @property
+    def is_rigid_coupling(self) -> bool:
+        """Whether it is a coupling that rigid bodies have too: by acceleration or speeds."""
+        return self.effect == "coupling" and self.term.value("law") in RIGID
 
     @property
     def is_transmission(self) -> bool:

@@ -194,8 +194,8 @@ def beside_bodies(
 ) -> list[Decision]:
     """The decisions, with claims turned into refinements where they may be the error of a body: a
     constant, a function of the position, or a gain of the torque, which is mostly weight, no larger
-    than the uncertainty of its weight, and a small inertia. Where calibration could have absorbed
-    the body but was held, any inertia counts.
+    than the uncertainty of its weight, and a small inertia or coupling as bodies have it. Where
+    calibration could have absorbed the body but was held, any inertia counts.
     """
     out = []
     calibrates = any("calibration" in c.found.indistinguishable for c in claims)
@@ -211,7 +211,11 @@ def beside_bodies(
                     c.mechanism == "position_torque" or c.is_constant or c.effect == "torque_gain"
                 )
             )
-            or (c.effect == "inertia" and (calibrates or c.size**2 < OWN_SHARE * largest**2))
+            or (c.effect == "inertia" and calibrates)
+            or (
+                (c.effect == "inertia" or c.is_rigid_coupling)
+                and c.size**2 < OWN_SHARE * largest**2
+            )
         ]
         keep = tuple(c for c in decision.claims if not any(c is w for w in weight))
         if weight:

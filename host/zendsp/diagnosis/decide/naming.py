@@ -40,7 +40,6 @@ from zendsp.physics.term_numbers import chosen
 
 # the same torque where a joint moves one way
 ALIKE_ONE_WAY = ("coulomb", "torque_offset", "coulomb_asymmetry")
-RIGID = (0.0, 1.0)  # laws of a coupling that rigid bodies have: inertia and coriolis
 # stated of a disturbance; not learned: the cases have too few of them
 IN_TIME = 0.85
 
@@ -271,7 +270,7 @@ def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
         more = ["body"]
     if law == "torque_gain" and given.kind in TREES and abs(claim.term.value("ratio")) < TOLERANCE:
         more = ["body"]
-    if law == "coupling" and given.kind in TREES and claim.term.value("law") in RIGID:
+    if given.kind in TREES and claim.is_rigid_coupling:
         more = ["body", "payload"]
     if law in ALIKE_ONE_WAY and never_reverses(data, claim.term.joint):
         more += [name for name in ALIKE_ONE_WAY if name != law]

@@ -303,9 +303,11 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
     return (
         f"Joint {d.joint}: a torque of {_torque(d, d.after.value, given)} is missing that "
         + (
-            f"no function of the joint's state predicts. {likeness(d.near)}"
+            "no function of the joint's state predicts on untouched recordings."
+            f" {likeness(d.near)}"
             if d.near
-            else "neither a known effect nor any function of the joint's state predicts"
+            else "neither a known effect nor any function of the joint's state predicts on"
+            " untouched recordings"
         )
         + (
             _behind_another(decisions, given, d.joint)

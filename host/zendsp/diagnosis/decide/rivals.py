@@ -150,8 +150,8 @@ def _late_alike(
 
 
 def _shared(names: Sequence[str], weights: Array, mechanism: str) -> dict[str, float]:
-    """The probabilities of the laws of a mechanism among all; the first law alone where none has
-    any.
+    """The probabilities of the laws of a mechanism among all, of the first, which is named, also
+    where it is small; the first law alone where none has any.
     """
     laws: dict[str, float] = {}
     for name, weight in zip(names, weights, strict=True):
@@ -160,7 +160,7 @@ def _shared(names: Sequence[str], weights: Array, mechanism: str) -> dict[str, f
     total = sum(laws.values())
     if total <= 0:
         return {names[0]: 1.0}
-    return {n: w / total for n, w in laws.items() if w / total > STATED_LAW}
+    return {n: w / total for n, w in laws.items() if w / total > STATED_LAW or n == names[0]}
 
 
 def _beside_a_number(given: Model, final: Scored, first: Piece, rival: Rival) -> bool:
