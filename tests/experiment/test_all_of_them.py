@@ -24,7 +24,7 @@ def _make_all(target: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
             raise Refused("no two neighbouring joints turn about parallel axes")
 
     monkeypatch.setattr(cli, "_make", make)
-    lab: Any = lambda: None  # noqa: E731
+    lab: Any = lambda _: None  # noqa: E731
     with pytest.raises(ZendspError) as error:
         cli._make_each(NAMES, lab, None, (), False, target)
     begun.append(str(error.value))

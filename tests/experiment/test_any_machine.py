@@ -302,7 +302,20 @@ def test_a_model_that_an_experiment_makes_nothing_of_is_refused(tmp_path: Path) 
         refused = CliRunner().invoke(command, [name, "--model", str(file)])
         assert isinstance(refused.exception, Refused)
         assert f"{name} takes no model" in str(refused.exception)
+        with pytest.raises(Refused, match=f"{name} takes no model"):
+            run_experiment(name, Lab(tmp_path, model=file))
     assert EXPERIMENTS["low-speed"].takes_model
+
+
+def test_a_name_that_is_mistyped_is_answered_with_the_nearest(tmp_path: Path) -> None:
+    file = tmp_path / "lift.toml"
+    file.write_text(MODEL)
+    for words in (["frction"], ["frction", "--model", str(file)], ["frction", "-t", "nobody"]):
+        refused = CliRunner().invoke(command, words)
+        said = "no experiment 'frction'; did you mean friction? There are friction, breakaway"
+        assert isinstance(refused.exception, Refused) and said in str(refused.exception), words
+    with pytest.raises(Refused, match="no experiment 'zzz'; there are friction"):
+        run_experiment("zzz", Lab(tmp_path))
 
 
 def test_the_command_tells_what_each_needs_and_the_present_name(tmp_path: Path) -> None:

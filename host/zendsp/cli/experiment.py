@@ -66,7 +66,6 @@ def command(
 
     Example:  zendsp experiment friction-curve --into examples/models/imi_planar.toml
     """
-    from zendsp.errors import Refused
     from zendsp.experiment import EXPERIMENTS, Lab, fit_model
 
     if name is None:
@@ -75,11 +74,8 @@ def command(
     check_writable(out)
     end_softly()
     names = list(EXPERIMENTS) if name == "all" else [_present(name)]
-    if model is not None and not any(EXPERIMENTS[each].takes_model for each in names):
-        raise Refused(
-            f"{names[0]} takes no model: it finds inertia and weight in the motion beside friction."
-            " Leave --model away, or take low-speed, which measures beside those of the model"
-        )
+    if model is not None and name != "all":
+        EXPERIMENTS[names[0]].check_model()
     if into is not None and not (target or connect):
         fit_model(names, into)  # before a machine is started
     with contextlib.ExitStack() as closing:
@@ -95,7 +91,11 @@ def command(
             names = _fitting(names, told, model is not None)
         takes = fit_model(names, into, told) if into is not None else []  # before it moves
         goes_on = opened if name == "all" else None
-        _make_each(names, lambda: Lab(out, opened, model=model), into, takes, as_json, goes_on)
+
+        def lab_of(each: str) -> Lab:
+            return Lab(out, opened, model=model if EXPERIMENTS[each].takes_model else None)
+
+        _make_each(names, lab_of, into, takes, as_json, goes_on)
     if report is not None:
         from zendsp.experiment.report import write_report
 
@@ -105,7 +105,7 @@ def command(
 
 def _make_each(
     names: Sequence[str],
-    lab: Callable[[], Lab],
+    lab: Callable[[str], Lab],
     into: Path | None,
     takes: Sequence[str],
     as_json: bool,
@@ -117,7 +117,7 @@ def _make_each(
     failed = []
     for name in names:
         try:
-            _make(name, lab(), into if name in takes else None, as_json)
+            _make(name, lab(name), into if name in takes else None, as_json)
         except (RecordingError, Refused, ModelError) as error:
             if goes_on is None or not goes_on.alive or goes_on.status().trip is not None:
                 raise
@@ -132,9 +132,9 @@ def _make_each(
 
 def _present(name: str) -> str:
     """The name that an experiment has now; a former one is told."""
-    from zendsp.experiment.names import present_name
+    from zendsp.experiment.registry import experiment_named
 
-    now = present_name(name)
+    now = experiment_named(name).name
     if now != name:
         click.echo(f"{name} is called {now} now", err=True)
     return now

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from zendsp.errors import Refused
+from zendsp.experiment.names import present_name
 from zendsp.experiment.needs import Needs
+from zendsp_protocol.errors import nearest
 from zendsp_protocol.messages import MachineInfo
 
 
@@ -42,6 +45,20 @@ class Experiment:
         """What this machine lacks for it, in a sentence; "" where it can be made."""
         own = machine.name == self.shipped and not machine.model
         return self.needs.lacking(machine, has_model or own)
+
+    def check_model(self) -> None:
+        """Refuse a model file where the experiment makes nothing of it.
+
+        Raises
+        ------
+        Refused
+        """
+        if not self.takes_model:
+            raise Refused(
+                f"{self.name} takes no model: what it needs it finds in the motion. Leave the model"
+                " away, or take low-speed, which measures friction beside a model's inertia and"
+                " weight"
+            )
 
 
 EXPERIMENTS = {
@@ -99,3 +116,24 @@ EXPERIMENTS = {
         ),
     )
 }
+
+
+def experiment_named(name: str) -> Experiment:
+    """The experiment of a name, also of a former one.
+
+    Raises
+    ------
+    Refused
+        There is none.
+
+    Examples
+    --------
+    >>> experiment_named("imi-static").name
+    'breakaway'
+    """
+    now = present_name(name)
+    if now not in EXPERIMENTS:
+        close = nearest(now, EXPERIMENTS)
+        near = f"did you mean {close[0]}? There" if close else "there"
+        raise Refused(f"no experiment {name!r}; {near} are {', '.join(EXPERIMENTS)}")
+    return EXPERIMENTS[now]

@@ -6,10 +6,8 @@ import importlib
 import time
 from collections.abc import Callable
 
-from zendsp.errors import Refused
 from zendsp.experiment.lab import Lab
-from zendsp.experiment.names import present_name
-from zendsp.experiment.registry import EXPERIMENTS
+from zendsp.experiment.registry import experiment_named
 from zendsp.experiment.result import Result
 
 
@@ -30,14 +28,15 @@ def run_experiment(name: str, lab: Lab) -> Result:
     Raises
     ------
     Refused
-        No such experiment, or the machine lacks what it needs.
+        No such experiment, a model that it makes nothing of, or the machine lacks what it needs.
     """
-    now = present_name(name)
-    if now not in EXPERIMENTS:
-        raise Refused(f"no experiment {name!r}; there are {', '.join(EXPERIMENTS)}")
+    experiment = experiment_named(name)
+    now = experiment.name
     if now != name:
         lab.say(f"{name} is called {now} now")
-    module, function = EXPERIMENTS[now].function.split(":")
+    if lab.model is not None:
+        experiment.check_model()
+    module, function = experiment.function.split(":")
     make: Callable[[Lab], Result] = getattr(
         importlib.import_module(f"zendsp.experiment.{module}"), function
     )
