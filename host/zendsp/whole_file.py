@@ -1,9 +1,12 @@
-"""Text files that are written whole or not at all."""
+"""Files that are written whole or not at all."""
 
 import os
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from zendsp.errors import RecordingError
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -28,3 +31,23 @@ def write_whole(path: Path, text: str) -> None:
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """A block that writes a file. Where it fails no half of a new file stays, and the error names
+    the file: the one of a full disk does not.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be written.
+    """
+    there = path.exists()
+    try:
+        yield
+    except OSError as error:
+        if not there:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error

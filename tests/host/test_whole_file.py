@@ -1,13 +1,18 @@
-"""Text files that are written whole or not at all."""
+"""Files that are written whole or not at all."""
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
-from zendsp.whole_file import write_whole
+from zendsp.errors import RecordingError
+from zendsp.experiment import Result
+from zendsp.experiment.figures import make_figure
+from zendsp.experiment.figures import save as save_figure
+from zendsp.whole_file import write_whole, writing
 
 ENDS_IN_BETWEEN = "x" * 100_000 + "\ud800"  # as a full disk does
 
@@ -40,3 +45,26 @@ def test_a_pipe_is_written_to(tmp_path: Path) -> None:
     write_whole(pipe, "text")
     assert os.read(reader, 100) == b"text"
     os.close(reader)
+
+
+def test_the_error_of_a_full_disk_names_the_file_and_leaves_no_half_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was "No space left on device"."""
+
+    def full(path: Path | str) -> None:
+        Path(path).write_bytes(b"half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    file = tmp_path / "x.npz"
+    said = r"x\.npz: cannot be written \(No space left"
+    with pytest.raises(RecordingError, match=said), writing(file):
+        full(file)
+    figure, _ = make_figure(1, 1)
+    monkeypatch.setattr(type(figure), "savefig", lambda self, path, dpi: full(path))
+    with pytest.raises(RecordingError, match=r"friction\.png: cannot be written"):
+        save_figure(figure, tmp_path / "friction.png")
+    monkeypatch.setattr(Path, "write_text", lambda self, text, encoding: full(self))
+    with pytest.raises(RecordingError, match=r"result\.toml: cannot be written"):
+        Result("friction", "x", "arm").save(tmp_path / "result.toml")
+    assert list(tmp_path.iterdir()) == []

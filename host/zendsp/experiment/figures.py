@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from zendsp.whole_file import writing
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -49,5 +51,6 @@ def label(axis: Axes, x: str, y: str, title: str = "", legend: bool = False) -> 
 
 def save(figure: Figure, path: Path) -> str:
     """Write a PNG of modest size; returns its name."""
-    figure.savefig(path, dpi=110)
+    with writing(path):
+        figure.savefig(path, dpi=110)
     return path.name

@@ -24,6 +24,7 @@ from zendsp.experiment.watch import Seen, stood, widen
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp.reference.profiles import integrate_velocity, make_grid
+from zendsp.whole_file import writing
 
 Mask = npt.NDArray[np.bool_]
 
@@ -108,10 +109,9 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
             if known.program == PROGRAM:
                 names = [f"{name}{j}" for name in ("inertia", "level", "slope")]
                 widen(result, j, seen[j], bench.inertias, names, seen[j][j].quick)
-            np.savez(
-                bench.folder / f"curve{axis.number}.npz", speed=curve.speed,
-                friction=curve.friction, slowing=curve.slowing,
-            )  # fmt: skip
+            file = bench.folder / f"curve{axis.number}.npz"
+            with writing(file):
+                np.savez(file, speed=curve.speed, friction=curve.friction, slowing=curve.slowing)
         for number, place in enumerate(known.pose, start=1):
             result.values[f"place{number}"] = Estimate(float(place), 0.0, _unit(known, number))
         result.figure = _draw(curves, cycles, bench)

@@ -15,6 +15,7 @@ from zendsp.experiment.names import result_file
 from zendsp.experiment.result import Cell, Estimate, Result, Row, number
 from zendsp.experiment.sliding import cannot_separate
 from zendsp.experiment.truth import TRUTH
+from zendsp.whole_file import write_whole, writing
 
 Rows = Sequence[Sequence[str]]
 WIDTH = 100  # columns of the page's prose
@@ -51,14 +52,17 @@ def write_report(folder: Path, path: Path) -> Path:
     for name, section in _SECTIONS.items():
         result = results[name]
         if result.figure:
-            shutil.copyfile(files[name].parent / result.figure, figures / f"{name}.png")
+            picture = figures / f"{name}.png"
+            with writing(picture):
+                shutil.copyfile(files[name].parent / result.figure, picture)
         parts.append(f"## {result.title}\n\n`zendsp experiment {name}`, on {result.target}.\n")
         parts.append(section(result))
         if result.figure:
             parts.append(f"![{result.title}](figures/{name}.png)\n")
         if result.warnings:
             parts.append("\n".join(f"- {text}" for text in result.warnings) + "\n")
-    path.write_text(wrapped("\n".join(parts)), encoding="utf-8")
+    with writing(path):
+        write_whole(path, wrapped("\n".join(parts)))
     return path
 
 

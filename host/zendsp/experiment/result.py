@@ -14,6 +14,7 @@ import tomli_w
 
 from zendsp.errors import RecordingError
 from zendsp.experiment.names import present_name
+from zendsp.whole_file import write_whole, writing
 from zendsp_protocol import written
 from zendsp_protocol.spelling import unknown_keys
 from zendsp_protocol.views import html_table, sentence, with_std
@@ -123,8 +124,15 @@ class Result:
         return tomli_w.dumps(data)
 
     def save(self, path: Path) -> Path:
-        """Write it as TOML."""
-        path.write_text(self.text(), encoding="utf-8")
+        """Write it as TOML.
+
+        Raises
+        ------
+        RecordingError
+            It cannot be written there.
+        """
+        with writing(path):
+            write_whole(path, self.text())
         return path
 
     @classmethod

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from zendsp.errors import RecordingError
+from zendsp.whole_file import writing
 
 
 def write_rows(
@@ -33,12 +34,10 @@ def write_rows(
     path = Path(path).expanduser()
     if path.suffix.lower() != ".csv":
         raise RecordingError(f"{path}: {what} is written as .csv")
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, header, lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
     return path

@@ -22,6 +22,7 @@ from zendsp.physics.codegen.urdf import dh_urdf
 from zendsp.physics.model import Model, per_joint
 from zendsp.recording import Recording
 from zendsp.reference import Limits, Machine, Reference, load_machine, make_limited, make_lspb
+from zendsp.whole_file import write_whole, writing
 from zendsp_protocol.messages import MachineInfo
 from zendsp_protocol.texts import counted
 
@@ -181,7 +182,8 @@ def measured_model(measured: Result, folder: Path) -> Model:
         for name in ("position_min", "position_max", "torque", "speed")
     }
     file = folder / "wam7.urdf"
-    file.write_text(dh_urdf("wam7", machine.parameters["link"], limits), encoding="utf-8")
+    with writing(file):
+        write_whole(file, dh_urdf("wam7", machine.parameters["link"], limits))
     return parse_model(
         {
             "name": "wam7, measured",
