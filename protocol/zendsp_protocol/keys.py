@@ -66,6 +66,13 @@ def host(target: str, host_id: str = "*") -> str:
     return f"{ROOT}/{target}/host/{host_id}"
 
 
+def left(target: str, host_id: str = "*") -> str:
+    """Liveliness token of a host that leaves by itself, shown before :func:`host` goes. One that
+    was killed, or whose link a busy computer lost, has none.
+    """
+    return f"{host(target, host_id)}/left"
+
+
 def info(target: str = "*") -> str:
     """Queryable: who the target is."""
     return f"{ROOT}/{target}/info"
@@ -94,5 +101,5 @@ def target_of(key: str) -> str:
 
 
 def host_of(key: str) -> str:
-    """Name of the host in the key of its token."""
-    return shown(key.rpartition("/")[2], lines=False)
+    """Name of the host in the key of one of its tokens."""
+    return shown(key.split("/")[3], lines=False)

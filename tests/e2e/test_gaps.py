@@ -25,6 +25,7 @@ print("moves", flush=True)
 time.sleep(999)
 """
 WORD = 3  # of the stop page: trips
+LATE_S = 1.6  # more than the lease of 1 s, less than the 3 s after which the loop stops by itself
 
 
 def _trips(target: Target) -> Callable[[], int]:
@@ -41,6 +42,24 @@ def stands(start: Callable[..., Target]) -> Target:
     target = start(clock="real", options=["--no-realtime"])
     target.download("pd.c")
     return target
+
+
+def test_a_host_that_is_alive_is_not_lost_where_a_busy_target_answers_late(
+    stands: Target,
+) -> None:
+    """The host gives the link up after a second without a word, and connects anew. The machine had
+    stopped: "the host that commanded the motion is gone".
+    """
+    stands.take_command()
+    stands.start()
+    freeze(stands.info.pid)
+    time.sleep(LATE_S)
+    os.kill(stands.info.pid, signal.SIGCONT)
+    until(lambda: stands.alive, "the link is back")
+    tick = stands.status().tick
+    until(lambda: stands.status().tick > tick + 2500, "it is seen whether the host is lost")
+    assert stands.status().trip is None
+    assert stands.drive_status().commander == stands.link.author
 
 
 @pytest.mark.parametrize(

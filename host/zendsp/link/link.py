@@ -283,6 +283,11 @@ class Link:
             self.closed = True
             self._ready.clear()
             open_links.discard(self)
+            if self.own and self._token is not None:
+                # the target would otherwise wait for a process that still runs
+                left = keys.left(self.target, self.author)
+                with contextlib.suppress(zenoh.ZError):
+                    self._token = self._session.liveliness().declare_token(left)
             for querier in self._queriers.values():
                 # Zenoh keeps 16 kB of a session that closes with one declared.
                 with contextlib.suppress(zenoh.ZError):

@@ -329,7 +329,7 @@ def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict
     table = _Rules()
     everything = (keys.rpc(name, "*"), keys.rpc(name, "*", "*"), keys.variable("*", "**"))
     own = {"link_protocols": ["unixsock-stream"]} if not doors.users else {"usernames": [OWNER]}
-    table.admit(OWNER, own, everything, keys.host(name), (EVERYWHERE,))
+    table.admit(OWNER, own, everything, keys.host(name, "**"), (EVERYWHERE,))
     for user in doors.named:
         asked = (keys.rpc(name, "*", user), keys.variable(name, "**", user))
         told = (keys.event(name), keys.live(name, user=user))

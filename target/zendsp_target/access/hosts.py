@@ -1,11 +1,12 @@
 """The connected hosts, by Zenoh's liveliness tokens: a host that was killed is gone within the
-lease.
+lease. A busy computer may lose the link of a process that still runs: it has time to come back.
 """
 
 from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,9 @@ from zendsp_target.access.endpoints import LEASE_MS
 
 MOST_HOSTS = 256  # of one user that are told of: the status names them all, to everybody
 LOOK_S = 0.25  # between questions to the routers
+# s, for a host of this computer whose process runs to come back: it tries again after 0.1 to 0.5 s
+BACK_S = 2.0
+PROCESS_S = 0.02  # between looks whether it still runs
 
 
 class Hosts:
@@ -25,12 +29,14 @@ class Hosts:
     def __init__(self, session: zenoh.Session, target: str, on_gone: Callable[[str], None]) -> None:
         self._present: set[str] = set()
         self._hidden: set[str] = set()  # behind a router that is silent
+        self._awaited: dict[str, threading.Event] = {}  # whose link was lost, until it is back
         self._lock = threading.Lock()
         self._on_gone = on_gone
         self._session, self._key = session, keys.host(target)
         self._subscriber = session.liveliness().declare_subscriber(
             self._key, self._changed, history=True
         )
+        self._leaving = session.liveliness().declare_subscriber(keys.left(target), self._left)
 
     def __contains__(self, host: str) -> bool:
         with self._lock:
@@ -68,13 +74,38 @@ class Hosts:
             self._hidden.clear()
 
     def _changed(self, sample: zenoh.Sample) -> None:
-        gone = sample.kind == zenoh.SampleKind.DELETE
-        self._change(keys.host_of(str(sample.key_expr)), gone)
+        gone, host = sample.kind == zenoh.SampleKind.DELETE, keys.host_of(str(sample.key_expr))
+        if not gone or host not in self or not _runs_here(host) or not self._waits(host):
+            self._change(host, gone)
+
+    def _left(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._change(keys.host_of(str(sample.key_expr)), gone=True)
+
+    def _waits(self, host: str) -> bool:
+        """Wait in a thread for a host to come back; False where there can be no more threads."""
+        back = threading.Event()
+        with self._lock:
+            self._awaited[host] = back
+        try:
+            threading.Thread(target=self._wait_for, args=(host, back), daemon=True).start()
+        except RuntimeError:
+            return False
+        return True
+
+    def _wait_for(self, host: str, back: threading.Event) -> None:
+        """Count a host as lost unless its token is back in time, or as soon as its process ends."""
+        deadline = time.monotonic() + BACK_S
+        while not back.wait(PROCESS_S):
+            if time.monotonic() > deadline or not _runs_here(host):
+                self._change(host, gone=True)
 
     def _change(self, host: str, gone: bool) -> None:
         user = host.partition("@")[0]
         with self._lock:
             known = host in self._present
+            if awaited := self._awaited.pop(host, None):
+                awaited.set()
             if gone:
                 self._present.discard(host)
             elif len(host) <= MOST_NAME and self._count(user) < MOST_HOSTS:
