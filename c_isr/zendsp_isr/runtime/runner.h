@@ -15,6 +15,9 @@
 #include "machine.h"
 
 enum { SPEED_WINDOW = 256, RANGES = LAYOUT_VARIABLES };
+/* counts that a way may seem longer by than it is: one of rounding, three of an interpolated sensor
+ * with half a count rms of noise (0.7 in a difference) */
+#define SPEED_COUNTS 4.0
 /* mV per N m of a joint that takes none: no command in mV is as large as a torque becomes by it. */
 #define NO_TORQUE_MV 1e30
 enum { ORPHAN_S = 12 }; /* that a machine may take to be made safe; longer than the monitor waits */
@@ -78,7 +81,7 @@ typedef struct runner_config {
     uint64_t image, image_end; /* where the program is loaded */
     range ranges[RANGES];      /* what a snapshot holds */
     int ranges_used;
-    uint32_t speed_window; /* samples over which a speed is measured */
+    uint32_t speed_window; /* samples over which a large speed is measured */
 } runner_config;
 
 /* State: what one sample leaves to the next. The loop's alone. */
@@ -88,7 +91,7 @@ typedef struct runner_state {
     double highest[MACHINE_JOINTS]; /* rad */
     double least_seen[MACHINE_JOINTS], most_seen[MACHINE_JOINTS]; /* rad, the limits they are of */
     uint32_t speed_place;           /* row of counts_before that is written next */
-    uint32_t speed_known;           /* rows of it that hold, at most speed_window */
+    uint32_t speed_known;           /* rows of it that hold */
     uint32_t overruns_in_row;
     uint64_t lag_ns; /* by which the sample before ended too late */
     bool anew;       /* the program begins afresh at its next sample: FIRST_SAMPLE, and a run-in */

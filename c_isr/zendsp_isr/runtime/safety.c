@@ -48,7 +48,7 @@ void safety_reset(runner *r) {
     r->set.stop_input = info->stop_input;
     r->set.stop_level = info->stop_level;
     r->set.overrun_limit = 10;
-    /* speed from counts over 10 ms: one count in one sample would be a coarse speed */
+    /* a speed that is far too large is seen over 10 ms, one that is a little over the whole ring */
     const double samples = 0.01 * r->control->rate_hz;
     const double most = SPEED_WINDOW - 1;
     r->config.speed_window = (uint32_t)(samples < 1.0 ? 1.0 : samples > most ? most : samples);
@@ -182,12 +182,28 @@ void safety_output(runner *r) {
     r->buffers.io.enabled = live || (!latched(r) && c->drive_mode != MACHINE_OFF);
 }
 
+/* Compare a joint's speed with its limit, over the mean of so many samples. Of what it has moved
+ * only that counts which the sensor surely shows. */
+static void check_speed(runner *r, int j, uint32_t window) {
+    const runner_state *s = &r->state;
+    const control *c = r->control;
+    if (s->speed_known < window)
+        return;
+    const uint32_t oldest = (s->speed_place + SPEED_WINDOW - window) % SPEED_WINDOW;
+    const int64_t moved =
+        (int64_t)r->buffers.sensors.enc[j] - r->buffers.counts_before[oldest][j];
+    const double per_count =
+        c->rate_hz / (double)window / fabs(c->info.joint[j].counts_per_unit);
+    if ((fabs((double)moved) - SPEED_COUNTS) * per_count > r->set.speed_max[j])
+        safety_trip(r, TRIP_SPEED, j + 1,
+                    (double)moved * c->rate_hz / (double)window / c->info.joint[j].counts_per_unit,
+                    r->set.speed_max[j]);
+}
+
 static void check_motion(runner *r) {
     const control *c = r->control;
     const machine_sensors *sensors = &r->buffers.sensors;
     runner_state *s = &r->state;
-    const uint32_t window = r->config.speed_window;
-    const uint32_t oldest = (s->speed_place + SPEED_WINDOW - window) % SPEED_WINDOW;
     for (int j = 0; j < c->info.joints; j++) {
         const double q = position_of(r, j), least = r->set.position_min[j];
         const double most = r->set.position_max[j];
@@ -198,20 +214,15 @@ static void check_motion(runner *r) {
         if (c->homed && c->running != RUN_HOME && (q < s->lowest[j] || q > s->highest[j]))
             safety_trip(r, TRIP_POSITION, j + 1, q,
                         q < s->lowest[j] ? s->lowest[j] : s->highest[j]);
-        if (s->speed_known >= window) {
-            const int64_t moved = (int64_t)sensors->enc[j] - r->buffers.counts_before[oldest][j];
-            const double speed =
-                (double)moved / c->info.joint[j].counts_per_unit * c->rate_hz / (double)window;
-            if (fabs(speed) > r->set.speed_max[j])
-                safety_trip(r, TRIP_SPEED, j + 1, speed, r->set.speed_max[j]);
-        }
+        check_speed(r, j, r->config.speed_window);
+        check_speed(r, j, SPEED_WINDOW - 1); /* so few counts are little of that */
         if (sensors->fault >> j & 1u)
             safety_trip(r, TRIP_SENSOR, j + 1, 0.0, 0.0);
     }
     for (int j = 0; j < c->info.joints; j++)
         r->buffers.counts_before[s->speed_place][j] = sensors->enc[j];
     s->speed_place = (s->speed_place + 1) % SPEED_WINDOW;
-    if (s->speed_known < window)
+    if (s->speed_known < SPEED_WINDOW - 1)
         s->speed_known++;
 }
 
