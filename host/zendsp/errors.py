@@ -20,6 +20,7 @@ from zendsp_protocol.errors import (
     TooLarge,
     TooSoon,
     Tripped,
+    Unmeasured,
     VariableError,
     VersionMismatch,
     ZendspError,
@@ -29,8 +30,8 @@ from zendsp_protocol.errors import (
 __all__ = [
     "AcquisitionError", "CompileFailed", "EndedWarning", "Incomplete", "LinkError", "ModelError",
     "NoAnswer", "NotApplied", "NotStopped", "NotYet", "RecordingError", "ReferenceError_",
-    "Refused", "RunnerDied", "TooLarge", "TooSoon", "Tripped", "VariableError", "VersionMismatch",
-    "ZendspError", "did_you_mean",
+    "Refused", "RunnerDied", "TooLarge", "TooSoon", "Tripped", "Unmeasured", "VariableError",
+    "VersionMismatch", "ZendspError", "did_you_mean",
 ]
 
 for _name in __all__:

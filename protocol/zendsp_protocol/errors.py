@@ -7,7 +7,8 @@
     │   ├── NotStopped                     STOP was asked and nothing says that the machine stands
     │   └── VersionMismatch
     ├── Refused (RuntimeError)             the target says no, and why
-    │   └── TooSoon                        not yet: what was sent before is not in effect
+    │   ├── TooSoon                        not yet: what was sent before is not in effect
+    │   └── Unmeasured                     what was recorded of one joint is no measurement
     ├── Tripped (RuntimeError)             a STOP, a limit or a fault ended a program at its start
     ├── NotYet (TimeoutError)              accepted, and still waiting for its sample
     ├── VariableError (ValueError)         unknown name, wrong type, outside limits, NaN; one line per variable
@@ -110,6 +111,10 @@ class Refused(ZendspError, RuntimeError):
 
 class TooSoon(Refused):
     """What was sent before is not in effect yet; the same request may be made again."""
+
+
+class Unmeasured(Refused):
+    """What an experiment recorded of one joint is no measurement; others may still be measured."""
 
 
 class Tripped(ZendspError, RuntimeError):

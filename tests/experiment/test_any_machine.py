@@ -118,7 +118,7 @@ def test_a_machine_of_one_slide_gets_all_that_fit_and_is_told_what_it_lacks(
 ) -> None:
     (tmp_path / "lift.toml").write_text(MODEL)
     with started(tmp_path, LIFT, "lift") as target:
-        lab = Lab(tmp_path, target, model=tmp_path / "lift.toml")
+        lab = Lab(tmp_path, target)
         found = run_experiment("mechanical", lab)
         truth = {"mass1": 3.0, "coulomb1": 6.0, "viscous1": 20.0, "weight1": 29.43}
         near(found.values, truth, 0.01)
@@ -129,7 +129,9 @@ def test_a_machine_of_one_slide_gets_all_that_fit_and_is_told_what_it_lacks(
         assert all(swung[f"{run}_final_error"].value < 0.01 for run in ("open_loop", "closed_loop"))
         assert swung["open_loop_final_error"].unit == "m"
         keeps_within(tmp_path / "swing", 0.95, 0.8 * 2.0)
-        followed = run_experiment("wam-tracking", lab)
+        followed = run_experiment(
+            "wam-tracking", Lab(tmp_path, target, model=tmp_path / "lift.toml")
+        )
         assert followed.name == "tracking" and followed.machine == target.info.machine
         apart = followed.values["joint1_alone_apart"]
         assert apart.value < 3.0, "the model is the machine"

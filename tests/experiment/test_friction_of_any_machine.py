@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import zendsp
-from zendsp.errors import ModelError, RecordingError, Refused
+from zendsp.errors import ModelError, Refused, Unmeasured
 from zendsp.experiment import Estimate, Lab, Result
 from zendsp.experiment.breakaway import Push, Pushes, _report_stiffness, breakaway
 from zendsp.experiment.circle import circle
@@ -156,7 +156,7 @@ def test_a_push_ends_where_the_joint_sinks_and_the_machine_is_braked(
     known = unknown(Load(3.0))  # a weight of 29 N that nobody knows of
     with (
         Lab(tmp_path, target).bench("breakaway") as bench,
-        pytest.raises(RecordingError, match=r"did not stand at 0\.1 m before the push"),
+        pytest.raises(Unmeasured, match=r"did not stand at 0\.1 m before the push"),
     ):
         Pusher(bench, known).push("sinks", 1, 1, 0.1, 0.5, back=0.02)
     rec = Recording.load(tmp_path / "breakaway" / "sinks.npz")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import zendsp
-from zendsp.errors import Refused
+from zendsp.errors import Incomplete, Refused
 from zendsp.experiment import Estimate, Lab, Result, run_experiment
 from zendsp.experiment.watch import Held, Seen, firmer, guarded, name_yielding, stood, widen
 from zendsp.link import Target
@@ -38,18 +38,34 @@ STUCK = """<mujoco model="stuck"><compiler angle="radian"/><worldbody><body>
 <joint name="b" axis="0 0 1" range="-2 2" armature="0.1" damping="0.5" frictionloss="30"/>
 <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
 <actuator><motor joint="b" ctrlrange="-10 10"/></actuator></mujoco>"""
+# the second of three joints is held by a friction that its drive cannot overcome
+ONE_STUCK = """<mujoco model="one"><compiler angle="radian"/><default><joint axis="0 0 1"
+range="-2 2" armature="0.1" damping="0.5" frictionloss="1"/></default><worldbody>
+<body><joint name="a"/><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+<body><joint name="b" frictionloss="30"/><inertial pos="0 0 0" mass="1"
+diaginertia="0.01 0.01 0.01"/><body><joint name="c"/><inertial pos="0 0 0" mass="1"
+diaginertia="0.01 0.01 0.01"/></body></body></body></worldbody><actuator>
+<motor joint="a" ctrlrange="-10 10"/><motor joint="b" ctrlrange="-10 10"/>
+<motor joint="c" ctrlrange="-10 10"/></actuator></mujoco>"""
+# of what turns a hundredth is declared: its loop swings up
+THROWN = """<mujoco model="thrown"><compiler angle="radian"/><worldbody><body>
+<joint name="a" axis="0 0 1" range="-2 2" armature="0.1"/>
+<inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+<actuator><motor joint="a" ctrlrange="-10 10"/></actuator></mujoco>"""
 HEAVY = """<mujoco model="heavy"><compiler angle="radian"/><worldbody><body>
 <joint name="shoulder" axis="0 1 0" range="-2 2" damping="1"/>
 <inertial pos="0.4 0 0" mass="3" diaginertia="0.03 0.03 0.03"/></body></worldbody>
 <actuator><motor joint="shoulder" ctrlrange="-8 8"/></actuator></mujoco>"""
+# a count of 1.5 mrad, which in 10 ms is a speed of 0.15 rad/s
+COARSE = ["--machine-option", "counts=4096", "--machine-option", "speed_max=0.15"]
 OWN = JointInfo(name="b", position_min=-0.3, position_max=0.3, torque_max=1.0)
 
 
 @contextmanager
-def started(folder: Path, xml: str) -> Iterator[Target]:
+def started(folder: Path, xml: str, options: Sequence[str] = ()) -> Iterator[Target]:
     file = folder / "machine.xml"
     file.write_text(xml)
-    with zendsp.local(str(file), clock="fast", options=["--speed", "100"]) as target:
+    with zendsp.local(str(file), clock="fast", options=["--speed", "100", *options]) as target:
         yield target
 
 
@@ -109,6 +125,37 @@ def test_a_joint_that_its_drive_cannot_move_gets_no_numbers(tmp_path: Path, name
     assert "larger inertia" not in said, "it is the torque that lacks"
 
 
+@pytest.mark.parametrize("name", ["friction", "low-speed", "mechanical"])
+def test_a_joint_at_its_limit_is_left_out_and_the_others_are_measured(
+    tmp_path: Path, name: str
+) -> None:
+    """It ended the experiment, and the numbers of the first joint were lost with it."""
+    with started(tmp_path, ONE_STUCK) as target:
+        found = run_experiment(name, Lab(tmp_path, target))
+        assert target.status().trip is None
+    level = "level" if name == "low-speed" else "coulomb"
+    for joint in (1, 3):
+        e = found.values[f"{level}{joint}"]
+        assert abs(e.value - 1.0) < 4 * e.std < 0.2, (joint, e)
+    assert not any(f"{level}2" in key for key in found.values)
+    left = [text for text in found.warnings if "left out" in text]
+    assert len(left) == 1 and left[0].startswith("Joint 2 is left out: joint2_gentle: the command")
+    assert "at its limit of 10 N m" in left[0]
+
+
+@pytest.mark.parametrize("name", ["friction", "low-speed", "mechanical"])
+def test_a_joint_whose_inertia_is_declared_wrongly_is_stopped_in_its_gentle_motion(
+    tmp_path: Path, name: str
+) -> None:
+    wrong = ["--machine-option", "effect1=inertia joint=1 amount=10.0"]
+    with started(tmp_path, THROWN, wrong) as target:
+        with pytest.raises(Refused, match=r"1 \(a\) was to move from .* and came to .* inertia"):
+            run_experiment(name, Lab(tmp_path, target))
+        assert target.status().trip is not None
+    files = {file.stem for file in (tmp_path / name).glob("*.npz")}
+    assert files == {"where_it_stands", "joint1_gentle_ended"}
+
+
 def test_a_joint_that_its_drive_cannot_carry_is_refused_before_anything_moves(
     tmp_path: Path,
 ) -> None:
@@ -160,9 +207,31 @@ def test_a_joint_that_was_to_move_and_did_not_is_refused() -> None:
         stood("x", 1, {1: Seen(0.0, 0.2, 1.0, 0.8)}, OWN)
 
 
+def test_a_count_of_a_coarse_encoder_is_no_speed_and_a_speed_beyond_the_limit_still_trips(
+    tmp_path: Path,
+) -> None:
+    """Standing still was a trip, at 0.15 and 0.31 rad/s."""
+    with started(tmp_path, STUCK, COARSE) as target:
+        target.download("joint_pd.c")
+        target.acquire(["q"], seconds=20.0, start=True)
+        assert target.status().trip is None
+    free = STUCK.replace('"30"', '"0.1"')
+    for speed, reason in ((0.12, None), (0.2, TripReason.SPEED)):
+        with started(tmp_path, free, COARSE) as target:
+            target.download("joint_pd.c")
+            target.upload("ref", 0.001 * speed * np.arange(3000)[:, None])
+            target.write(row_rate=1000, approach_time=1.0)
+            with suppress(Incomplete):
+                target.acquire(["q"], seconds=4.0, start=True)
+            trip = target.status().trip
+            assert (trip.reason if trip is not None else None) == reason, speed
+            # 1 s to begin, 0.3 s to follow, and 0.26 s over which it is seen
+            assert trip is None or 1000 < trip.tick < 2000
+
+
 def test_what_is_held_follows_from_the_reference_or_the_push() -> None:
     way = np.stack([np.linspace(0.0, 1.0, 50), np.full(50, 0.3)], axis=1)
     held = Held.by(Reference(way, 0.001, kind="x", machine=""), {})
-    assert held == Held({2: 0.3}, (1,))
+    assert held == Held({2: 0.3}, (1,), {1: (0.0, 1.0)})
     assert Held.by(None, {"joint": 2, "place": [0.1, 0.2]}) == Held({1: 0.1}, (2,))
     assert Held.by(None, {}) == Held({}, ())

@@ -6,14 +6,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import ceil
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import Refused
+from zendsp.diagnosis.data.series import stretches
+from zendsp.errors import Unmeasured
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
+from zendsp.experiment.gentle import (
+    CHANNELS,
+    FOLLOWS,
+    PROGRAM,
+    REST,
+    SHARE,
+    SPEED,
+    TRAVEL,
+    TRIES,
+    approach_time,
+    gentle_first,
+)
+from zendsp.experiment.knowing import refuse_none
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import ROWS
 from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
@@ -26,7 +39,7 @@ from zendsp.experiment.sliding import (
     fit_friction,
     found_friction,
 )
-from zendsp.experiment.watch import widen
+from zendsp.experiment.watch import BEARS, LOOP, STIFFER, left_out, widen
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
 from zendsp_protocol.views import with_std
@@ -34,17 +47,9 @@ from zendsp_protocol.views import with_std
 Array = npt.NDArray[np.float64]
 Line = tuple[float, float, float, float]  # level, viscous coefficient, their half widths
 
-PROGRAM = "joint_pd.c"
-CHANNELS = ("play_time", "q", "tau")
-TRAVEL = 0.8  # rad or m, at most …
-SHARE = 0.4  # … and of the range of the joint
-SPEED = 0.4  # of the largest speed
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
-PEAK = 1.875  # largest speed of an approach of length and duration 1
-REST = 0.3  # s, after each move
-FOLLOWS = 0.8  # of the speed of each part, at least; else the loop is made stiffer …
-STIFFER, TRIES = 3.0, 4  # … by so much, so often
+ONE_SIDED = 1.645  # standard deviations, that 5 % are beyond on one side
 NO_CHANCE = 0.99  # of the F distribution: what chance explains once in a hundred
 
 
@@ -70,13 +75,15 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
         period = 1.0 / bench.target.status().rate_hz
         driven = tuple(i for i, j in enumerate(all_joints, 1) if j.command != "none")
         for joint in joints or driven:
-            reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
-            sliding = _record(bench, reference, joint)
-            found = fit_line(sliding, all_joints[joint - 1].unit == "rad")
-            curves[joint] = (sliding.points(found.free), found)
-            _report(result, joint, all_joints[joint - 1].unit, found)
-            names = [f"{name}{joint}" for name in ("inertia", "coulomb", "viscous")]
-            widen(result, joint, bench.seen, bench.inertias, names, bench.seen[joint].quick)
+            with left_out(result, bench.target, joint):
+                reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
+                sliding = _record(bench, reference, joint, place)
+                found = fit_line(sliding, all_joints[joint - 1].unit == "rad")
+                curves[joint] = (sliding.points(found.free), found)
+                _report(result, joint, all_joints[joint - 1].unit, found)
+                names = [f"{name}{joint}" for name in ("inertia", "coulomb", "viscous")]
+                widen(result, joint, bench.seen, bench.inertias, names, bench.seen[joint].quick)
+        refuse_none(result, curves)
         result.recordings, result.target = bench.recordings, bench.where
         result.figure = _draw(curves, {i: j.unit for i, j in enumerate(all_joints, 1)}, bench)
     return result
@@ -87,7 +94,7 @@ def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: flo
     low, high = joint.position_min, joint.position_max
     travel = min(TRAVEL, SHARE * (high - low))
     if not travel > 0.0:
-        raise Refused(
+        raise Unmeasured(
             f"{joint.name}: its range is {low:g} to {high:g} {joint.unit}: no way to move"
         )
     fastest = min(SPEED * joint.speed_max, travel / CRUISE)
@@ -113,42 +120,42 @@ def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: flo
     return Reference(q, stride * period, kind="trapezoid", machine="")
 
 
-def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
-    """The pieces of a joint's moves. Where it does not follow them its loop is made stiffer: a
-    light joint with much friction hardly gives way to it.
+def _record(bench: Bench, reference: Reference, joint: int, place: Array) -> Sliding:
+    """The pieces of a joint's moves, after a gentle one. Where it does not follow them its loop is
+    made stiffer: a light joint with much friction hardly gives way to it.
     """
-    column = reference.qd[:, joint - 1]
-    wanted = np.unique(np.round(np.abs(column[np.abs(reference.qdd[:, joint - 1]) < STEADY]), 6))
-    slowest, fastest = FOLLOWS * wanted[wanted > MOVING][[0, -1]]
-    stride = round(reference.sample_time * bench.target.status().rate_hz)
-    stiffer: dict[str, Array] = {}
-    for _ in range(TRIES + 1):
+    column, rate = reference.q[:, joint - 1], bench.target.status().rate_hz
+    middle, travel = 0.5 * float(column.min() + column.max()), float(np.ptp(column))
+    inertias, turned = gentle_first(bench, joint, place, middle, travel)
+    turned = max(turned, float(bench.inertias[joint - 1]))
+    stride = round(reference.sample_time * rate)
+    for tries in range(TRIES + 1):
         rec = bench.record(
-            f"joint{joint}", PROGRAM, CHANNELS, reference=reference, before=_approach(bench),
-            decimation=2 * stride,
-            **stiffer,  # type: ignore[arg-type]
+            f"joint{joint}", PROGRAM, CHANNELS, reference=reference,
+            before=approach_time(bench), decimation=2 * stride, J=inertias,
         )
         sliding = constant_speed_pieces(rec, reference, joint, gravity=False)
-        speeds = sliding.points(sliding.torque)[:, 0] * np.resize([1.0, -1.0], sliding.part[-1] + 1)
-        if speeds.min() > slowest and speeds.max() > fastest:
+        share = _shares(sliding, reference, joint)
+        each = share.min() > FOLLOWS and share.max() < 1.0 / FOLLOWS
+        stiffer = STIFFER * inertias[joint - 1]
+        ends = share[[0, 1, -2, -1]].min() > FOLLOWS
+        if each or (ends and LOOP * stiffer > BEARS * rate * turned):
             return sliding
-        inertias = np.atleast_1d(np.asarray(rec.parameters["J"], dtype=np.float64)).copy()
-        inertias[joint - 1] *= STIFFER
-        stiffer = {"J": inertias}
+        if tries < TRIES:
+            inertias[joint - 1] = stiffer
     name = bench.machine.joints[joint - 1].name
-    raise Refused(
+    raise Unmeasured(
         f"{name}: does not follow its loop: let the machine declare a larger inertia of the joint"
     )
 
 
-def _approach(bench: Bench) -> float:
-    """Time in which any joint comes from wherever its moves ended to where the next ones begin at
-    less than its largest speed, s.
-    """
-    joints = bench.machine.joints
-    ways = [min(TRAVEL, SHARE * (j.position_max - j.position_min)) for j in joints]
-    paces = [SPEED * j.speed_max for j in joints]
-    return max(2.0, *(ceil(PEAK * w / v) for w, v in zip(ways, paces, strict=True) if v > 0.0))
+def _shares(sliding: Sliding, reference: Reference, joint: int) -> Array:
+    """The speed of each part over that which it was to have."""
+    pace, turn = reference.qd[:, joint - 1], reference.qdd[:, joint - 1]
+    parts = stretches((np.abs(turn) < STEADY) & (np.abs(pace) > MOVING))
+    wanted = np.array([pace[a:b].mean() for a, b in parts])
+    which = np.unique(sliding.part)
+    return np.asarray(sliding.points(sliding.torque)[:, 0] / wanted[which])
 
 
 def fit_line(sliding: Sliding, may_weigh: bool) -> Friction:
@@ -156,11 +163,11 @@ def fit_line(sliding: Sliding, may_weigh: bool) -> Friction:
 
     A weight is two more coefficients; it is kept where chance would explain as much only once in a
     hundred times (F test). Friction that varies with place does so alike at every speed, so one
-    part of the way counts as one measurement. A weight that is not kept is not excluded: all
-    numbers are as uncertain as beside it. Where friction would have to drive the joint, the way is
-    too short, or friction too uneven, to tell weight from what the directions differ by: they are
-    alike, and the weight is the same everywhere, or changes as that of a turning mass, whichever
-    explains more (both have as many numbers).
+    part of the way counts as one measurement. A weight that is not kept is not excluded: the
+    intervals hold what would be found beside it. Where friction would have to drive the joint, the
+    way is too short, or friction too uneven, to tell weight from what the directions differ by:
+    they are alike, and the weight is the same everywhere, or changes as that of a turning mass,
+    whichever explains more (both have as many numbers).
     """
     from scipy.special import fdtri
 
@@ -172,10 +179,11 @@ def fit_line(sliding: Sliding, may_weigh: bool) -> Friction:
     without, within = plain.squares, found.squares
     more = free > 0 and (without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free
     if not more:
-        value = {way: _wider(line, found.value[way]) for way, line in plain.value.items()}
+        value = {way: _holding(line, found.value[way]) for way, line in plain.value.items()}
         widest = max(plain.inertia[1], found.inertia[1])
         found = replace(
-            plain, value=value, weight_half=found.weight_half, sine=(0.0, found.sine[1]),
+            plain, value=value, mean=_holding(plain.mean, found.mean),
+            weight_half=found.weight_half, sine=(0.0, found.sine[1]),
             cosine=(0.0, found.cosine[1]), inertia=(plain.inertia[0], widest),
         )
     both = (*plain.value.values(), *found.value.values())
@@ -213,6 +221,16 @@ def _wider(line: Line, beside: Line) -> Line:
     """A line with half widths at least those of another one."""
     level, viscous, half, dv = line
     return level, viscous, max(half, beside[2]), max(dv, beside[3])
+
+
+def _holding(line: Line, other: Line) -> Line:
+    """A line whose 95 % intervals hold those of another one, which may be the right one instead.
+    Where that is far off, its interval reaches beyond on one side only.
+    """
+    level, viscous, half, dv = _wider(line, other)
+    apart = abs(level - other[0]), abs(viscous - other[1])
+    one = ONE_SIDED / NORMAL
+    return level, viscous, max(half, apart[0] + one * other[2]), max(dv, apart[1] + one * other[3])
 
 
 def _even(found: Friction) -> Friction:

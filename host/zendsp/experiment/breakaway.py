@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zendsp.errors import RecordingError
+from zendsp.errors import Unmeasured
 from zendsp.experiment.estimates import NORMAL, half_width, mean_of
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.joints import USED, Array, Axis
@@ -18,6 +18,7 @@ from zendsp.experiment.low_speed import low_speed
 from zendsp.experiment.push import BRAKING, Pusher
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.staircase import breakaway_torque, bristle_stiffness, pushed_way
+from zendsp.experiment.watch import left_out
 from zendsp.recording import Recording
 
 # s, length of a torque step: so slow that friction reaches what it can hold
@@ -63,10 +64,8 @@ def breakaway(lab: Lab, count: int = 6, joints: tuple[int, ...] = ()) -> Result:
         known = as_found(bench, lab, low)
         pusher = Pusher(bench, known)
         for joint in joints or known.axes:
-            try:
+            with left_out(result, bench.target, joint):
                 found[joint] = _pushes(pusher, lab, joint, count)
-            except RecordingError as error:
-                result.warnings.append(f"Joint {joint} is left out: {error}.")
         result.recordings, result.target = bench.recordings, bench.where
         refuse_none(result, found)
         for pushes in found.values():
@@ -292,7 +291,7 @@ def _push(
         band = RESTS * axis.level if sure else axis.torque
     most = USED * axis.torque - axis.load.most
     if most <= 0.0:
-        raise RecordingError(
+        raise Unmeasured(
             f"joint {joint} carries up to {axis.load.most:.3g} {axis.force}, and {USED:.0%} of its"
             f" limit of {axis.torque:.3g} {axis.force} is {USED * axis.torque:.3g}: nothing is left"
             " to push it with. Let the machine declare a larger torque_max, or measure it where it"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zendsp.errors import RecordingError
+from zendsp.errors import Unmeasured
 from zendsp.experiment.estimates import NORMAL, line_fit
 from zendsp.experiment.figures import BLUE, GREY, label, make_figure, save
 from zendsp.experiment.joints import USED, Axis, Known
@@ -25,7 +25,7 @@ from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import ACTS, low_speed
 from zendsp.experiment.push import BRAKING, PUSHING, Pusher, columns
 from zendsp.experiment.result import Estimate, Result
-from zendsp.experiment.watch import name_yielding
+from zendsp.experiment.watch import left_out, name_yielding
 
 CERTAIN = 0.3  # of the friction: what may be uncertain of a weight that is taken off
 TRIES = 5  # at a larger torque, of a joint that does not move
@@ -81,10 +81,8 @@ def high_speed(
             if why:
                 result.warnings.append(f"Joint {joint} is left out: {why}.")
                 continue
-            try:
+            with left_out(result, bench.target, joint):
                 points[joint] = _points(pusher, lab, axis, arm is None)
-            except RecordingError as error:
-                result.warnings.append(f"Joint {joint} is left out: {error}.")
         result.recordings, result.target = bench.recordings, bench.where
         refuse_none(result, points)
         for joint, each in points.items():
@@ -192,7 +190,7 @@ def _steady(
         (rec["phase"] == PUSHING) & (way < part[1] * half) & (way > part[0] * half)
     )
     if len(rows) < 20:
-        raise RecordingError(
+        raise Unmeasured(
             f"joint {axis.number} did not come to {middle + direction * part[1] * half:.3g}"
             f" {axis.unit} by {min(torque, most):.3g} {axis.force}, of at most {most:.3g} beside"
             " its weight; look at the recording for what holds it, or let the machine declare a"

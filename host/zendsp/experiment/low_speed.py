@@ -11,16 +11,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import Refused
+from zendsp.errors import Unmeasured
 from zendsp.experiment.estimates import NORMAL, half_width, smoothed
 from zendsp.experiment.figures import AMBER, BLUE, label, make_figure, save
+from zendsp.experiment.gentle import gentle_first
 from zendsp.experiment.joints import Array, Axis, Known, Load
-from zendsp.experiment.knowing import PROGRAM, first_look, shipped, with_loads
+from zendsp.experiment.knowing import PROGRAM, first_look, refuse_none, shipped, with_loads
 from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.moved import Moved, contradicting, measured_load
 from zendsp.experiment.push import travel_time
 from zendsp.experiment.result import Estimate, Result
-from zendsp.experiment.watch import Seen, stood, widen
+from zendsp.experiment.watch import Seen, left_out, stood, widen
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp.reference.profiles import integrate_velocity, make_grid
@@ -93,15 +94,13 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
         known = arm or first_look(bench, lab)
         period = 1e-3 if arm is not None else 1.0 / bench.target.status().rate_hz
         for joint in joints or known.axes:
-            axis = known.axes[joint]
-            motion = triangles(axis, known, cycles, period)
-            rec = bench.record(
-                f"joint{joint}", known.program, ["play_time", "q", "tau"], decimation=motion.stride,
-                reference=motion.reference, before=_approach(known, motion), **known.values,
-            )
-            stood(f"joint{joint}", joint, bench.seen, bench.machine.joints[joint - 1])
-            seen[joint] = bench.seen
-            curves[joint] = axis, friction_curve(rec, known, axis, motion)
+            with left_out(result, bench.target, joint):
+                axis = known.axes[joint]
+                motion = triangles(axis, known, cycles, period)
+                rec = _recorded(bench, known, axis, motion)
+                seen[joint] = bench.seen
+                curves[joint] = axis, friction_curve(rec, known, axis, motion)
+        refuse_none(result, curves)
         result.recordings, result.target = bench.recordings, bench.where
         for axis, curve in curves.values():
             _report(result, known, axis, curve)
@@ -116,6 +115,19 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
             result.values[f"place{number}"] = Estimate(float(place), 0.0, _unit(known, number))
         result.figure = _draw(curves, cycles, bench)
     return result
+
+
+def _recorded(bench: Bench, known: Known, axis: Axis, motion: Triangles) -> Recording:
+    """The motion of a joint; one that is not the shipped machine's moves gently before."""
+    name, values = f"joint{axis.number}", dict(known.values)
+    if known.program == PROGRAM:
+        values["J"], _ = gentle_first(bench, axis.number, known.pose, axis.middle, axis.travel)
+    rec = bench.record(
+        name, known.program, ["play_time", "q", "tau"], decimation=motion.stride,
+        reference=motion.reference, before=_approach(known, motion), **values,
+    )
+    stood(name, axis.number, bench.seen, bench.machine.joints[axis.number - 1])
+    return rec
 
 
 def _unit(known: Known, number: int) -> str:
@@ -134,7 +146,7 @@ def triangles(axis: Axis, known: Known, cycles: int, period: float) -> Triangles
     show the load, of a machine that is not the shipped one.
     """
     if not axis.travel > 0.0:
-        raise Refused(
+        raise Unmeasured(
             f"joint {axis.number}: its range is {axis.low:g} to {axis.high:g} {axis.unit}: no way"
             " to move"
         )

@@ -9,12 +9,14 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from zendsp.errors import RecordingError, Refused
+from zendsp.errors import RecordingError, Unmeasured
 from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, widest
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
+from zendsp.experiment.knowing import refuse_none
 from zendsp.experiment.lab import Bench, Lab, own_program
 from zendsp.experiment.needs import inputs_of
 from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.watch import left_out
 from zendsp.recording import Recording
 from zendsp_protocol.messages import JointInfo
 from zendsp_protocol.views import with_std
@@ -54,8 +56,10 @@ def electrical(lab: Lab) -> Result:
         for k, own in enumerate([j for j in bench.machine.joints if j.command != "none"]):
             joint = bench.machine.joints.index(own) + 1
             sensors = tuple(inputs_of(bench.machine, unit)[k] for unit in ("A", "V"))
-            runs[joint] = _driven(bench, joint, own, sensors)
-            _report(result, joint, own.unit, runs[joint])
+            with left_out(result, bench.target, joint):
+                runs[joint] = _driven(bench, joint, own, sensors)
+                _report(result, joint, own.unit, runs[joint])
+        refuse_none(result, runs)
         result.recordings, result.target = bench.recordings, bench.where
         result.figure = save(_draw(runs, result, bench), bench.folder / "electrical.png")
     return result
@@ -104,7 +108,7 @@ def _driven(bench: Bench, joint: int, own: JointInfo, sensors: tuple[int, ...]) 
                 break
         level *= MORE
     if turned < FEWEST:
-        raise Refused(
+        raise Unmeasured(
             f"{own.name}: turns at {turned} of the voltages that it may be driven at within its"
             f" range and speed; {FEWEST} are needed"
         )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from zendsp.errors import RecordingError
+from zendsp.errors import Unmeasured
 from zendsp.experiment.joints import USED, Array, Known
 from zendsp.experiment.knowing import PROGRAM
 from zendsp.experiment.lab import Bench, push_program
@@ -16,6 +16,7 @@ TRAVEL_S = 2.0  # s, to the start position, at least
 PUSHING, BRAKING = 2, 3  # phases
 RESET = 0.3  # s, of the integral that holds the joints of a machine whose weight is not known
 REST_S = 0.5  # s, at rest before a push
+CUTOFF = 80.0  # Hz, of the speed in push.c, where none is given
 
 
 class Pusher:
@@ -39,7 +40,7 @@ class Pusher:
 
         Raises
         ------
-        RecordingError
+        Unmeasured
             The joint did not stand still before the push.
         """
         known, axis = self.known, self.known.axes[joint]
@@ -48,7 +49,10 @@ class Pusher:
         channels = ["q", "tau", "torque", "phase"]
         gains = {"Kp": known.gain("kp"), "Kd": known.gain("kd"), "brake": known.gain("brake")}
         reset = 0.0 if known.program != PROGRAM else RESET
-        limits = {"lower": axis.low, "upper": axis.high, "fastest": USED * axis.speed}
+        # one count is seen as so much speed: two of them are none that ends a push
+        cutoff = values.get("cutoff", CUTOFF)
+        fastest = USED * axis.speed + 4.0 * np.pi * cutoff * abs(axis.count)
+        limits = {"lower": axis.low, "upper": axis.high, "fastest": fastest}
         given = {"reset": reset, **limits, **gains, **known.weights(), **values}
         rec = self.bench.record(
             name, push_program(), channels, seconds=1.5 * travel + REST_S + 0.3 + seconds,
@@ -58,7 +62,7 @@ class Pusher:
         self.gave.setdefault(joint, []).append({k: s.way for k, s in self.bench.seen.items()})
         self.stands = rec["q"].reshape(len(rec), -1)[-1]
         if not (rec["phase"] == PUSHING).any():
-            raise RecordingError(
+            raise Unmeasured(
                 f"joint {joint} did not stand at {place:.3g} {axis.unit} before the push: its"
                 " weight is not known well enough; give a model (--model), or look at the recording"
             )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from zendsp.errors import RecordingError
+from zendsp.errors import Unmeasured
 from zendsp.experiment.estimates import smoothed
 from zendsp.experiment.joints import USED, Array, Axis, Known
 from zendsp.experiment.push import PUSHING, columns
@@ -55,13 +55,13 @@ def breakaway_torque(
     axis = known.axes[joint]
     samples = 2 * round(0.5 * WINDOW / (rec.sample_time)) + 1
     if len(np.flatnonzero(rec["phase"] == PUSHING)) < 2 * samples:
-        raise RecordingError(f"joint {joint} was pushed for less than {2 * samples} samples")
+        raise Unmeasured(f"joint {joint} was pushed for less than {2 * samples} samples")
     _, speed, friction = pushed_way(rec, known, joint, direction, WINDOW)
     edge = samples // 2
     held = (friction - axis.viscous * speed)[edge:-edge]
     if speed[edge:-edge].max() < AWAY * axis.pace:
         most = float(np.abs(rec["torque"][rec["phase"] == PUSHING]).max())
-        raise RecordingError(
+        raise Unmeasured(
             f"joint {joint} did not break away: pushed by up to {most:.3g} {axis.force} of its"
             f" limit of {axis.torque:.3g} {axis.force}, of which at most {USED:.0%} are used. Let"
             " the machine declare a larger torque_max, or look at the recording for what holds it"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import Refused, ZendspError
+from zendsp.errors import Refused, Unmeasured, ZendspError
 from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.link import Target
 from zendsp.link.outside import positions
@@ -37,24 +37,31 @@ STANDS = 0.5  # of its way: a joint that moves less was to move and did not
 
 @dataclass(frozen=True)
 class Held:
-    """Joints that an experiment holds, by their number from 1, and where; and those that move."""
+    """Joints that an experiment holds, by their number from 1, and where; those that move; and the
+    ends of their ways where these are known.
+    """
 
     places: Mapping[int, float]
     moving: tuple[int, ...]
+    ways: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
     def by(cls, reference: Reference | None, values: Mapping[str, Any]) -> Held:
         """What a reference holds, or a push; nothing where neither is given."""
+        ways = {}
         if reference is not None:
             still = np.ptp(reference.q, axis=0) <= 0.0
             first = reference.q[0]
+            low, high = reference.q.min(axis=0).tolist(), reference.q.max(axis=0).tolist()
+            ends = enumerate(zip(low, high, strict=True), 1)
+            ways = {j: way for j, way in ends if not still[j - 1]}
         elif "place" in values and "joint" in values:
             first = np.atleast_1d(np.asarray(values["place"], dtype=np.float64))
             still = np.arange(1, len(first) + 1) != values["joint"]
         else:
             return cls({}, ())
         places = {j: float(x) for j, x in enumerate(first, 1) if still[j - 1]}
-        return cls(places, tuple(j for j in range(1, len(first) + 1) if j not in places))
+        return cls(places, tuple(j for j in range(1, len(first) + 1) if j not in places), ways)
 
 
 @dataclass(frozen=True)
@@ -138,7 +145,10 @@ def check(
 
     Raises
     ------
+    Unmeasured
+        The command of a joint that moves was at its limit: others may still be measured.
     Refused
+        A joint that was to be held was not: nothing is moved any more.
     """
     for j, one in seen.items():
         own = joints[j - 1]
@@ -147,7 +157,7 @@ def check(
             does = f"was to be held and gave way by {one.away:.3g} {own.unit}"
             if j in held.moving:
                 does = f"moves {one.way:.3g} of {one.wanted:.3g} {own.unit}"
-            raise Refused(
+            raise (Unmeasured if j in held.moving else Refused)(
                 f"{name}: the command of joint {j} ({own.name}) is at its limit of"
                 f" {limits.torque_max[j - 1]:g} {force} in {one.at_limit:.0%} of the samples, and"
                 f" the joint {does}: friction or weight take more than the drive gives. Nothing is"
@@ -173,9 +183,10 @@ def too_far(own: JointInfo, joint: int, held: Held, away: float) -> str:
 
 @contextmanager
 def guarded(target: Target, name: str, held: Held) -> Iterator[None]:
-    """A block in which a held joint that gives way too far trips the target at once: its limits of
-    position are tightened about its place, and about where it stands now. Then they are as before,
-    an infinite one as ``FREE``.
+    """A block in which a held joint that gives way too far trips the target at once, and so does
+    one that leaves its way by as much as that way is long, or as far as a held one may: limits of
+    position are tightened about place or way, and about where a joint stands now. Then they are as
+    before, an infinite one as ``FREE``.
 
     Raises
     ------
@@ -186,10 +197,12 @@ def guarded(target: Target, name: str, held: Held) -> Iterator[None]:
     here = np.atleast_1d(np.asarray(positions(target.status(), infos), dtype=np.float64))
     low, high = (np.clip(x, -FREE, FREE) for x in (before.position_min, before.position_max))
     least, most = low.copy(), high.copy()
-    for j, place in held.places.items():
+    for j, (first, last) in _ways(held).items():
         room = UNSAFE * (infos[j - 1].position_max - infos[j - 1].position_min)
-        least[j - 1] = max(low[j - 1], min(place, here[j - 1]) - room)
-        most[j - 1] = min(high[j - 1], max(place, here[j - 1]) + room)
+        if j in held.ways:
+            room = min(room, last - first)
+        least[j - 1] = max(low[j - 1], min(first, here[j - 1]) - room)
+        most[j - 1] = min(high[j - 1], max(last, here[j - 1]) + room)
     if (least == low).all() and (most == high).all():
         yield
         return
@@ -206,12 +219,36 @@ def guarded(target: Target, name: str, held: Held) -> Iterator[None]:
             target.set_limits(position_min=low.tolist(), position_max=high.tolist())
 
 
+def _ways(held: Held) -> dict[int, tuple[float, float]]:
+    """The first and last place at which each joint is to be."""
+    return {**{j: (place, place) for j, place in held.places.items()}, **held.ways}
+
+
 def _gave_way(trip: Trip, infos: Sequence[JointInfo], held: Held) -> str:
-    """A sentence where a trip is that of a held joint; else ""."""
-    place = held.places.get(trip.joint)
-    if trip.reason != TripReason.POSITION or place is None:
+    """A sentence where a trip is that of a joint that was held, or that left its way; else ""."""
+    if trip.reason != TripReason.POSITION or trip.joint not in _ways(held):
         return ""
-    return too_far(infos[trip.joint - 1], trip.joint, held, abs(trip.value - place))
+    own, (first, last) = infos[trip.joint - 1], _ways(held)[trip.joint]
+    if trip.joint in held.places:
+        return too_far(own, trip.joint, held, abs(trip.value - first))
+    return (
+        f"joint {trip.joint} ({own.name}) was to move from {first:.3g} to {last:.3g} {own.unit} and"
+        f" came to {trip.value:.3g}: its loop does not hold what it moves. Look at the inertia that"
+        " the machine declares of it, and at what it carries"
+    )
+
+
+@contextmanager
+def left_out(result: Result, target: Target, joint: int) -> Iterator[None]:
+    """A block that measures a joint; where that is no measurement the result says so, and the
+    experiment goes on with the others, unless the machine has stopped.
+    """
+    try:
+        yield
+    except Unmeasured as error:
+        if target.status().trip is not None:
+            raise
+        result.warnings.append(f"Joint {joint} is left out: {error}.")
 
 
 def firmer(
@@ -227,7 +264,7 @@ def firmer(
 
     Raises
     ------
-    Refused
+    Unmeasured
         One gives way so far that the next, larger motion would take it too far, and its loop cannot
         be made stiffer.
     """
@@ -241,7 +278,7 @@ def firmer(
         if LOOP * STIFFER * stiff[k - 1] <= BEARS * rate_hz:
             firm.append(k)
         elif unsafe:
-            raise Refused(too_far(own, k, held, one.away))
+            raise Unmeasured(too_far(own, k, held, one.away))
     return firm
 
 
@@ -250,11 +287,11 @@ def stood(name: str, joint: int, seen: Mapping[int, Seen], own: JointInfo) -> No
 
     Raises
     ------
-    Refused
+    Unmeasured
     """
     one = seen[joint]
     if one.way < STANDS * one.wanted:
-        raise Refused(
+        raise Unmeasured(
             f"{name}: joint {joint} ({own.name}) was to move {one.wanted:.3g} {own.unit} and moved"
             f" {one.way:.3g}, with a command below its limit: its loop is too weak for its"
             " friction. Nothing is stated. Let the machine declare a larger inertia of the joint"

@@ -1,0 +1,196 @@
+"""A gentle first motion of a joint: before it moves any farther it shows whether its loop moves it
+and holds the others, and what it turns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.series import stretches
+from zendsp.errors import Unmeasured
+from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, smoothed
+from zendsp.experiment.lab import Bench, playing
+from zendsp.experiment.sliding import ACTS, Sliding
+from zendsp.experiment.watch import STIFFER, firmer
+from zendsp.recording import Recording
+from zendsp.reference import Reference
+from zendsp_protocol.messages import JointInfo
+
+Array = npt.NDArray[np.float64]
+
+PROGRAM = "joint_pd.c"
+CHANNELS = ("play_time", "q", "tau")
+TRAVEL = 0.8  # rad or m, of the moves that follow, at most …
+SHARE = 0.4  # … and of the range of the joint
+SPEED = 0.4  # of the largest speed
+GENTLE = 3  # cycles of the first motion, over a quarter of the way …
+CALM = 2.0  # s, each move of it
+FOLLOWS = 0.8  # of what it is to do a joint does, at least; else its loop is made stiffer …
+TRIES = 4  # … so often
+KNOWN = 0.2  # of an inertia, its standard deviation at most where the loop is set by it
+REST = 0.3  # s, after each move
+PEAK = 1.875  # largest speed of a move of length and duration 1
+SLIDES = 0.2  # of a move's largest speed: below, bristles bend
+PIECES = 10  # of a move
+WIDTH = 1.0 / 6.0  # of a move: what a piece averages over
+FEWEST = 41  # samples of it
+
+
+@dataclass(frozen=True)
+class Moves:
+    """A reference, and the first and last row of each of its moves."""
+
+    reference: Reference
+    rows: tuple[tuple[int, int], ...]
+
+
+class Accelerated(Sliding):
+    """Pieces of moves that accelerate; all are equally long parts of a move and weigh alike."""
+
+    def weights(self) -> Array:
+        """One, for each piece."""
+        return np.ones_like(self.torque)
+
+
+def gentle_first(
+    bench: Bench, joint: int, place: Array, middle: float, travel: float
+) -> tuple[Array, float]:
+    """Move a joint gently about the ``middle`` of the ``travel`` that is to follow. Where it does
+    not follow, or a held joint gives way, the loop is made stiffer and the motion repeated.
+
+    Returns
+    -------
+    ndarray
+        Inertia of each joint that joint_pd.c is to take, kg m^2 or kg.
+    float
+        What the joint itself turns, as the motion shows; 0 where it does not.
+
+    Raises
+    ------
+    Unmeasured
+        It does not follow, or a held joint gives way so far that the larger motion would take it
+        too far.
+    """
+    told, rate = bench.machine.joints, bench.target.status().rate_hz
+    own = told[joint - 1]
+    way = min(travel, within_calm(own)) / 4.0
+    moves = smooth_moves(place, joint, middle - way / 2.0, way, [CALM] * GENTLE, 1.0 / rate)
+
+    def moved(**values: Array) -> Recording:
+        return bench.record(
+            f"joint{joint}_gentle", PROGRAM, CHANNELS, reference=moves.reference,
+            before=approach_time(bench), **values,  # type: ignore[arg-type]
+        )
+
+    rec = moved()
+    inertias = np.atleast_1d(np.asarray(rec.parameters["J"], dtype=np.float64)).copy()
+    tries = 0
+    while (went := _followed(rec, joint)) < FOLLOWS * way:
+        if tries == TRIES:
+            raise Unmeasured(
+                f"{own.name}: does not follow its loop, of {way:.3g} {own.unit} it moves"
+                f" {went:.3g}: let the machine declare a larger inertia of the joint"
+            )
+        tries += 1  # a light joint with much friction hardly gives way to its loop
+        inertias[joint - 1] *= STIFFER
+        rec = moved(J=inertias)
+    while firm := firmer(bench.seen, joint, told, rate, inertias / bench.inertias):
+        inertias[[j - 1 for j in firm]] *= STIFFER
+        rec = moved(J=inertias)
+    found = _inertia(weak_pieces(rec, moves, joint)) or 0.0
+    inertias[joint - 1] = max(inertias[joint - 1], found)
+    return inertias, found
+
+
+def within_calm(own: JointInfo) -> float:
+    """The longest way that a calm move may have at the joint's speed."""
+    return SPEED * own.speed_max * CALM / PEAK
+
+
+def approach_time(bench: Bench) -> float:
+    """Time in which any joint comes from wherever its moves ended to where the next ones begin at
+    less than its largest speed, s.
+    """
+    joints = bench.machine.joints
+    ways = [min(TRAVEL, SHARE * (j.position_max - j.position_min)) for j in joints]
+    paces = [SPEED * j.speed_max for j in joints]
+    return max(2.0, *(ceil(PEAK * w / v) for w, v in zip(ways, paces, strict=True) if v > 0.0))
+
+
+def _followed(rec: Recording, joint: int) -> float:
+    """How far a joint moved while the reference was played."""
+    q = np.atleast_2d(rec["q"].T).T[rec["play_time"] >= 0.0, joint - 1]
+    return float(np.ptp(q))
+
+
+def smooth_moves(
+    place: Array, joint: int, start: float, travel: float, durations: list[float], period: float
+) -> Moves:
+    """For each duration a move there and one back, without a jump of the acceleration, and rests.
+    """
+    way, rows, row = [], [], 0
+    rest = round(REST / period)
+    for duration in durations:
+        n = round(duration / period)
+        s = np.arange(n) / n
+        share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        for there in (share, 1.0 - share):
+            way += [start + travel * there, np.full(rest, start + travel * round(there[-1]))]
+            rows.append((row, row + n))
+            row += n + rest
+    q = np.tile(place, (row, 1))
+    q[:, joint - 1] = np.concatenate(way)
+    return Moves(Reference(q, period, kind="point_to_point", machine=""), tuple(rows))
+
+
+def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:
+    """Means over pieces of each move, where the joint slides.
+
+    The torque is the one that acts during the sample.
+    """
+    rows = playing(rec, moves.reference.samples)
+    q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
+    dt = rec.sample_time
+    speed = smoothed(q, FEWEST, dt, 1)
+    others = np.delete(np.atleast_2d(rec["q"].T).T[rows], joint - 1, axis=1)
+    pieces = []
+    for part, (first, last) in enumerate(moves.rows):
+        last = min(last + round(REST / dt / 2), len(q))
+        pace = np.abs(speed[first:last])
+        runs = stretches(pace > SLIDES * pace.max())
+        a, b = max(runs, key=lambda run: run[1] - run[0])
+        n = max(FEWEST, round(WIDTH * (b - a)))
+        for begin in np.unique(np.linspace(first + a, first + b - n, PIECES).astype(int)):
+            if b - a > n and begin + n + 2 <= len(q):
+                pieces.append((part, *_piece(q, tau, int(begin), n, dt)))
+    if not pieces:
+        raise Unmeasured(f"joint {joint}: moves too little, or too briefly, to be measured")
+    columns = np.array(pieces).T
+    away = float(others.std(axis=0).max(initial=0.0))
+    part, at, pace, torque, turn, rate = columns
+    none = np.zeros_like(torque)
+    # the drive's own lag, which nothing declares, is a share of the torque's rate
+    return Accelerated(part.astype(np.int64), at, pace, torque, none, turn, away, (rate,))
+
+
+def _piece(q: Array, tau: Array, begin: int, n: int, dt: float) -> tuple[float, ...]:
+    """Position, speed, torque, acceleration, and rate of the torque, of one piece of n samples."""
+    at = np.arange(begin, begin + n)
+    acting = np.interp(at - ACTS, np.arange(len(tau)), tau)
+    place, speed, turn = bump_means(q[at], dt)
+    torque, rate, _ = bump_means(acting, dt)
+    return place, speed, torque, turn, rate
+
+
+def _inertia(gentle: Sliding) -> float | None:
+    """The inertia that the first motion shows; None where it does not."""
+    one = np.ones_like(gentle.q)
+    A = np.stack(
+        [gentle.acceleration, np.sign(gentle.speed), gentle.speed, one, gentle.q], axis=1
+    )
+    x, half, _ = least_squares(A, gentle.torque)
+    return float(x[0]) if half[0] / NORMAL < KNOWN * x[0] else None
