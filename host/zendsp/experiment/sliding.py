@@ -225,7 +225,9 @@ def fit_friction(
     half, width = np.split(wide, [len(x)])
     if unknown:  # the others give way in the direction of the move, and change that weight
         blur = NORMAL * sliding.others * float(np.hypot(*x[4:6])) if weighs else 0.0
+        slope = blur / float(np.abs(sliding.speed).max())  # not alike at slow and fast moves
         half[[0, 2]], width[0] = np.hypot(half[[0, 2]], blur), np.hypot(width[0], blur)
+        half[[1, 3]], width[1] = np.hypot(half[[1, 3]], slope), np.hypot(width[1], slope)
     squares = float(np.sum((weight * (sliding.torque - A @ x)) ** 2))
     value = {
         word: (float(x[k]), float(x[k + 1]), float(half[k]), float(half[k + 1]))
