@@ -168,6 +168,31 @@ def test_a_push_ends_where_the_joint_sinks_and_the_machine_is_braked(
     assert begin - q.min() < 0.02 + 0.2 * 0.4 + 0.05
 
 
+def test_on_the_real_clock_a_push_is_recorded_until_soon_after_the_joint_is_held_again(
+    tmp_path: Path,
+) -> None:
+    """All of a staircase was, though the joint had broken away in its middle: six minutes a joint.
+    """
+    (tmp_path / "lift.xml").write_text(LIFT)
+    known = unknown(Load(3.0, flat=29.43))
+    with (
+        zendsp.local(
+            str(tmp_path / "lift.xml"), clock="real", options=["--no-realtime"]
+        ) as target,
+        Lab(tmp_path, target).bench("breakaway") as bench,
+    ):
+        # 6 N of friction, after 0.5 s
+        rec = Pusher(bench, known).push(
+            "soon", 1, 1, 0.1, 20.0, increment=0.12, hold=0.01, threshold=0.01, back=0.02
+        )
+        assert target.status().state != "running"
+    phase = rec["phase"]
+    held = np.flatnonzero(phase == 4)
+    # AFTER_S, and what a busy computer takes to see and to tell it
+    assert 0.4 < (len(rec) - held[0]) * rec.sample_time < 5.0
+    assert np.isfinite(rec.data).all() and set(phase) == {0, 1, 2, 3, 4}
+
+
 def unknown(load: Load) -> Known:
     """The lift with another load."""
     info = JointInfo(

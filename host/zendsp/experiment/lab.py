@@ -32,6 +32,7 @@ from zendsp_protocol.states import Clock, DriveState, ProgramState
 Say = Callable[[str], None]
 IDLE = {"idle.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'}
 HOLDS = "joint_pd.c"  # without a reference it holds every joint where it stands
+AFTER_S = 0.5  # that is still recorded when all is done
 BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
 
 
@@ -223,6 +224,7 @@ class Bench:
         after: float = 0.3,
         decimation: int = 1,
         flags: Sequence[str] = (),
+        done: Callable[[Target], bool] | None = None,
         **values: Any,
     ) -> Recording:
         """Load a program, set its parameters, run it, and return the recording, which is kept as
@@ -242,6 +244,10 @@ class Bench:
             Time to the first row of the reference, and after its last, s.
         flags : sequence of str
             For the compiler.
+        done : callable, optional
+            Asked again and again on the real clock: whether what is to be recorded is over.
+            ``AFTER_S`` later the recording ends, before its time. (On the fast clock nobody waits,
+            and the result is the same each time.)
         **values
             Parameters of the program.
 
@@ -273,8 +279,10 @@ class Bench:
             with guarded(target, name, held), kept(target, [], moves=True):
                 recording = target.acquire(
                     channels, seconds=seconds, decimation=decimation, start=True, note=name,
-                    pauses=False,
+                    pauses=False, progress=_ending(target, done),
                 )
+                if target.status().state == ProgramState.RUNNING:
+                    target.pause()
             trip = target.status().trip
             if trip is not None and trip.reason:
                 raise Refused(f"{name}: {ended(trip)}")
@@ -323,6 +331,24 @@ class Bench:
             self.target.acquire_stop()
             recording = self.target.acquire_load(f"{name}, ended early: {why}")
             save_anyhow(recording, self.folder / f"{name}_ended.npz")
+
+
+def _ending(
+    target: Target, done: Callable[[Target], bool] | None
+) -> Callable[[float], None] | None:
+    """What ends a recording on the real clock ``AFTER_S`` after it is done; called while it runs.
+    """
+    if done is None or target.info.clock != Clock.REAL:
+        return None
+    since: list[float] = []
+
+    def look(fraction: float) -> None:
+        if not since and done(target):
+            since.append(time.monotonic())
+        if since and time.monotonic() - since[0] > AFTER_S:
+            target.acquire_stop()
+
+    return look
 
 
 def _stop(target: Target) -> None:

@@ -10,10 +10,11 @@ from zendsp.errors import Unmeasured
 from zendsp.experiment.joints import USED, Array, Known
 from zendsp.experiment.knowing import PROGRAM
 from zendsp.experiment.lab import Bench, push_program
+from zendsp.link import Target
 from zendsp.recording import Recording
 
 TRAVEL_S = 2.0  # s, to the start position, at least
-PUSHING, BRAKING = 2, 3  # phases
+PUSHING, BRAKING, HELD = 2, 3, 4  # phases
 RESET = 0.3  # s, of the integral that holds the joints of a machine whose weight is not known
 REST_S = 0.5  # s, at rest before a push
 CUTOFF = 80.0  # Hz, of the speed in push.c, where none is given
@@ -36,7 +37,8 @@ class Pusher:
     def push(
         self, name: str, joint: int, direction: int, place: float, seconds: float, **values: Any
     ) -> Recording:
-        """Go to a place, rest, push; ``seconds`` of the push and what follows are recorded.
+        """Go to a place, rest, push; ``seconds`` of the push and what follows are recorded, on the
+        real clock not much longer than until the joint is held again.
 
         Raises
         ------
@@ -57,7 +59,7 @@ class Pusher:
         rec = self.bench.record(
             name, push_program(), channels, seconds=1.5 * travel + REST_S + 0.3 + seconds,
             joint=joint, direction=direction, place=goal, travel_time=travel, rest_time=REST_S,
-            **given,
+            done=_held, **given,
         )
         self.gave.setdefault(joint, []).append({k: s.way for k, s in self.bench.seen.items()})
         self.stands = rec["q"].reshape(len(rec), -1)[-1]
@@ -67,6 +69,11 @@ class Pusher:
                 " weight is not known well enough; give a model (--model), or look at the recording"
             )
         return rec
+
+
+def _held(target: Target) -> bool:
+    """Whether the push is over, and the joint held where it came to stand."""
+    return int(np.asarray(target["phase"])) == HELD
 
 
 def travel_time(known: Known, start: Array, goal: Array) -> float:
