@@ -78,11 +78,14 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
             with left_out(result, bench.target, joint):
                 reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
                 sliding = _record(bench, reference, joint, place)
-                found = fit_line(sliding, all_joints[joint - 1].unit == "rad")
+                turns = all_joints[joint - 1].unit == "rad"
+                sliding, coupled = with_coupling(sliding, turns)
+                found = fit_line(sliding, turns)
                 curves[joint] = (sliding.points(found.free), found)
                 _report(result, joint, all_joints[joint - 1].unit, found)
                 names = [f"{name}{joint}" for name in ("inertia", "coulomb", "viscous")]
-                widen(result, joint, bench.seen, bench.inertias, names, bench.seen[joint].quick)
+                seen = {k: one for k, one in bench.seen.items() if k not in coupled}
+                widen(result, joint, seen, bench.inertias, names, seen[joint].quick)
         refuse_none(result, curves)
         result.recordings, result.target = bench.recordings, bench.where
         result.figure = _draw(curves, {i: j.unit for i, j in enumerate(all_joints, 1)}, bench)
@@ -156,6 +159,29 @@ def _shares(sliding: Sliding, reference: Reference, joint: int) -> Array:
     wanted = np.array([pace[a:b].mean() for a, b in parts])
     which = np.unique(sliding.part)
     return np.asarray(sliding.points(sliding.torque)[:, 0] / wanted[which])
+
+
+def with_coupling(sliding: Sliding, may_weigh: bool) -> tuple[Sliding, tuple[int, ...]]:
+    """The pieces with the accelerations of held joints that gave way, where these explain more of
+    the torque than chance would once in a hundred times, by parts of the way; and which joints.
+
+    A joint k that gives way takes M_jk qdd_k of the torque of joint j, in time with the motion:
+    beside what a joint itself turns that looks like friction.
+    """
+    from scipy.special import fdtri
+
+    parts = len(np.unique(sliding.part))
+    taken: tuple[int, ...] = ()
+    squares = fit_friction(sliding, may_weigh, unknown=True).squares
+    while left := sliding.turns.keys() - set(taken):
+        more = {k: replace(sliding, further=(*sliding.further, sliding.turns[k])) for k in left}
+        tried = {k: fit_friction(x, may_weigh, unknown=True).squares for k, x in more.items()}
+        best = min(tried, key=lambda k: tried[k])
+        free = parts - 5 - 2 * may_weigh - len(more[best].further)
+        if free < 1 or squares - tried[best] <= fdtri(1, free, NO_CHANCE) * tried[best] / free:
+            break
+        sliding, squares, taken = more[best], tried[best], (*taken, best)
+    return sliding, taken
 
 
 def fit_line(sliding: Sliding, may_weigh: bool) -> Friction:

@@ -14,7 +14,7 @@ from zendsp.diagnosis.data.series import stretches
 from zendsp.errors import Unmeasured
 from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, smoothed
 from zendsp.experiment.lab import Bench, playing
-from zendsp.experiment.sliding import ACTS, Sliding
+from zendsp.experiment.sliding import ACTS, Sliding, held_turns
 from zendsp.experiment.watch import STIFFER, firmer
 from zendsp.recording import Recording
 from zendsp.reference import Reference
@@ -156,8 +156,9 @@ def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:
     q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
     dt = rec.sample_time
     speed = smoothed(q, FEWEST, dt, 1)
-    others = np.delete(np.atleast_2d(rec["q"].T).T[rows], joint - 1, axis=1)
-    pieces = []
+    every = np.atleast_2d(rec["q"].T).T[rows]
+    others = np.delete(every, joint - 1, axis=1)
+    pieces, turns = [], []
     for part, (first, last) in enumerate(moves.rows):
         last = min(last + round(REST / dt / 2), len(q))
         pace = np.abs(speed[first:last])
@@ -167,6 +168,8 @@ def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:
         for begin in np.unique(np.linspace(first + a, first + b - n, PIECES).astype(int)):
             if b - a > n and begin + n + 2 <= len(q):
                 pieces.append((part, *_piece(q, tau, int(begin), n, dt)))
+                piece = every[int(begin) : int(begin) + n]
+                turns.append(np.array([bump_means(x, dt)[2] for x in piece.T]))
     if not pieces:
         raise Unmeasured(f"joint {joint}: moves too little, or too briefly, to be measured")
     columns = np.array(pieces).T
@@ -174,7 +177,10 @@ def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:
     part, at, pace, torque, turn, rate = columns
     none = np.zeros_like(torque)
     # the drive's own lag, which nothing declares, is a share of the torque's rate
-    return Accelerated(part.astype(np.int64), at, pace, torque, none, turn, away, (rate,))
+    return Accelerated(
+        part.astype(np.int64), at, pace, torque, none, turn, away, (rate,),
+        turns=held_turns(turns, joint),
+    )  # fmt: skip
 
 
 def _piece(q: Array, tau: Array, begin: int, n: int, dt: float) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from zendsp.errors import Unmeasured
 from zendsp.experiment import spun_shaft
-from zendsp.experiment.any_friction import fit_line
+from zendsp.experiment.any_friction import fit_line, with_coupling
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.gentle import (
@@ -70,13 +70,15 @@ def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
         place, told = np.atleast_1d(stands["q"][-1]), bench.machine.joints
         for joint in joints or [j for j, own in enumerate(told, 1) if own.command != "none"]:
             with left_out(result, bench.target, joint):
-                pieces = _measure(bench, joint, place)
-                found = fit_line(pieces, told[joint - 1].unit == "rad")
+                turns = told[joint - 1].unit == "rad"
+                pieces, coupled = with_coupling(_measure(bench, joint, place), turns)
+                found = fit_line(pieces, turns)
                 curves[joint] = pieces, found
                 _report(result, joint, told[joint - 1].unit, found)
-                mass = "inertia" if told[joint - 1].unit == "rad" else "mass"
+                mass = "inertia" if turns else "mass"
                 names = [f"{name}{joint}" for name in (mass, "coulomb", "viscous")]
-                widen(result, joint, bench.seen, bench.inertias, names, bench.seen[joint].quickest)
+                seen = {k: one for k, one in bench.seen.items() if k not in coupled}
+                widen(result, joint, seen, bench.inertias, names, seen[joint].quickest)
         refuse_none(result, curves)
         if len(told) == 1:
             _of_one_joint(result, told[0].unit, curves[1][1])

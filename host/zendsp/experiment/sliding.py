@@ -4,7 +4,8 @@ weight and inertia.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +41,8 @@ class Sliding:
         By how much the others were displaced, RMS of the joint where that is most, rad.
     further : tuple of ndarray
         What else the torque may be proportional to.
+    turns : mapping of int to ndarray
+        Acceleration of each joint that was to be held, rad/s^2, by its number.
     scatter : ndarray, optional
         Standard deviation of the torque within each piece, N m.
     step : float
@@ -56,6 +59,7 @@ class Sliding:
     further: tuple[Array, ...] = ()
     scatter: Array | None = None
     step: float = 0.0
+    turns: Mapping[int, Array] = field(default_factory=dict)
 
     def rounded(self) -> Array:
         """Standard deviation of what the mean torque of each piece is rounded by. A command that
@@ -115,7 +119,8 @@ def constant_speed_pieces(
     """
     ratio = round(rec.sample_time / reference.sample_time)
     rows = playing(rec, reference.samples // ratio)
-    q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
+    every = np.atleast_2d(rec["q"].T).T[rows]
+    q, tau = every[:, joint - 1], np.atleast_2d(rec["tau"].T).T[rows][:, joint - 1]
     # where the program compensates no weight, all of it is found beside friction
     g = rec["g"][rows][:, joint - 1] if gravity else np.zeros_like(tau)
     wanted = reference.qd[::ratio, joint - 1][: len(q)]
@@ -129,7 +134,8 @@ def constant_speed_pieces(
     ahead = ACTS * rec.sample_time / rec.decimation
     q, qd = q + ahead * qd, qd + ahead * qdd
     g = g + ahead * smoothed(g, window, rec.sample_time, 1)
-    pieces = []
+    turns = smoothed(every, window, rec.sample_time, 2)
+    pieces, others_turn = [], []
     for part, (first, last) in enumerate(moves):
         first += round(0.3 * (last - first))
         last -= beside
@@ -138,11 +144,20 @@ def constant_speed_pieces(
         for piece in np.array_split(np.arange(first, last), 10):
             means = (x[piece].mean() for x in (q, qd, tau - g, g, qdd))
             pieces.append((part, *means, tau[piece].std()))
+            others_turn.append(turns[piece].mean(axis=0))
     columns = np.array(pieces).T
-    away = np.atleast_2d(rec["q"].T).T[rows][: len(steady)][steady]
+    away = every[: len(steady)][steady]
     others = np.delete(away.std(axis=0), joint - 1).max(initial=0.0)
     found = Sliding(columns[0].astype(np.int64), *columns[1:6])
-    return replace(found, others=float(others), scatter=columns[6])
+    return replace(
+        found, others=float(others), scatter=columns[6], turns=held_turns(others_turn, joint)
+    )
+
+
+def held_turns(turns: Sequence[Array], joint: int) -> dict[int, Array]:
+    """`Sliding.turns`, from the accelerations of all joints in each piece."""
+    columns = np.array(turns).T
+    return {k: column for k, column in enumerate(columns, 1) if k != joint}
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ STIFFER = 3.0  # times, that the loop of a held joint is made
 # two samples of delay are then a quarter of a radian
 LOOP, BEARS = 4.0 * np.pi * 3.0, 0.125
 FIX = "Let the machine declare a larger inertia of it (its loop is stiffer then), or fix it"
+WAYS = ("", "_pos", "_neg")  # both directions of friction together, and each
 STANDS = 0.5  # of its way: a joint that moves less was to move and did not
 
 
@@ -327,7 +328,8 @@ def widen(
     inertias : ndarray
         Of every joint, as the machine declares them.
     names : sequence of str
-        Keys of ``result.values``: the inertia (may be missing), friction's level and its slope.
+        Keys of ``result.values``: the inertia (may be missing), friction's level and its slope;
+        those of each direction, where they are stated, end in ``_pos`` and ``_neg``.
     acceleration : float
         Of the rows that they are measured by.
     """
@@ -341,16 +343,18 @@ def widen(
             continue
         off += share * (own * float(inertias[k - 1])) ** 0.5
     torque = off * acceleration
-    more = dict(zip(names, (off, torque, torque / max(one.fast, 1e-12)), strict=True))
+    each = zip(names, (off, torque, torque / max(one.fast, 1e-12)), strict=True)
+    more = {f"{name}{way}": x for name, x in each for way in WAYS}
     keys = more.keys() & result.values.keys()
     if any(more[key] > result.values[key].std for key in keys):
         ways = {k: other.way for k, other in seen.items() if k != joint}
         name_yielding(result, joint, one.way, ways)
     for key in keys:
         result.values[key] = _wider(result.values[key], more[key])
-    parts = {"level": torque, "coefficient": more[names[2]]}
+    parts = {f"level{way}": torque for way in WAYS}
+    parts |= {f"coefficient{way}": more[names[2]] for way in WAYS}
     for at, effect in enumerate(result.effects):
-        if effect.joint == joint and effect.kind in ("coulomb", "viscous"):
+        if effect.joint == joint:
             parameters = {n: _wider(e, parts.get(n, 0.0)) for n, e in effect.parameters.items()}
             result.effects[at] = FoundEffect(effect.kind, joint, parameters)
 
