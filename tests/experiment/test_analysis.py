@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from zendsp.errors import RecordingError, Unmeasured
-from zendsp.experiment.any_friction import _report, fit_line
+from zendsp.experiment.any_friction import _report, fit_line, with_coupling
 from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.friction_curve import fit_curve
 from zendsp.experiment.motor import steady_means
@@ -235,6 +235,17 @@ def test_what_others_are_displaced_by_is_in_level_and_slope_of_a_joint_that_carr
     for way in "+-":
         more = np.hypot(still.value[way][2:], (blur, blur / fastest))
         assert gave.value[way][2:] == pytest.approx(more, rel=0.01)
+
+
+def test_a_held_joint_that_gives_way_is_told_and_one_that_does_not_move_is_none() -> None:
+    rng = np.random.default_rng(6)
+    joint = unknown_joint(rng, 0.0, 0.0)
+    turns = {2: rng.normal(0.0, 0.1, 120), 3: np.zeros(120), 4: np.full(120, 1e-14)}
+    plain, none = with_coupling(replace(joint, turns=turns), True)
+    assert none == () and plain.further == ()
+    pulled = replace(joint, turns=turns, torque=joint.torque + 0.6 * turns[2])
+    sliding, coupled = with_coupling(pulled, True)
+    assert coupled == (2,) and np.array_equal(sliding.further[0], turns[2])
 
 
 def test_what_a_command_is_rounded_by_is_in_the_intervals() -> None:

@@ -49,6 +49,7 @@ Line = tuple[float, float, float, float]  # level, viscous coefficient, their ha
 
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
+GAVE = 1e-3  # of its acceleration, that a held joint is accelerated by at least to be told of
 ONE_SIDED = 1.645  # standard deviations, that 5 % are beyond on one side
 NO_CHANCE = 0.99  # of the F distribution: what chance explains once in a hundred
 
@@ -172,8 +173,10 @@ def with_coupling(sliding: Sliding, may_weigh: bool) -> tuple[Sliding, tuple[int
 
     parts = len(np.unique(sliding.part))
     taken: tuple[int, ...] = ()
+    least = GAVE * float(np.std(sliding.acceleration))
+    gave = {k for k, turn in sliding.turns.items() if np.std(turn) > least}
     squares = fit_friction(sliding, may_weigh, unknown=True).squares
-    while left := sliding.turns.keys() - set(taken):
+    while left := gave - set(taken):
         more = {k: replace(sliding, further=(*sliding.further, sliding.turns[k])) for k in left}
         tried = {k: fit_friction(x, may_weigh, unknown=True).squares for k, x in more.items()}
         best = min(tried, key=lambda k: tried[k])
