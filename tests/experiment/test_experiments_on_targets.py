@@ -186,7 +186,7 @@ def test_a_recording_that_is_interrupted_is_kept_and_the_machine_stopped(tmp_pat
 
     with zendsp.local("pendulum", clock="real") as target:
         real = target.acquire
-        target.acquire = lambda *args, **keys: real(*args, progress=interrupt, **keys)  # type: ignore[method-assign]
+        target.acquire = lambda *args, **keys: real(*args, **keys | {"progress": interrupt})  # type: ignore[method-assign]
         with (
             pytest.raises(KeyboardInterrupt),
             Lab(tmp_path, target).bench("mechanical") as bench,
