@@ -54,6 +54,8 @@ def _model(kind: str) -> dict[str, Any]:
         "effect": [_effect(name) for name in library()],
     }
     parameters = {name: dict(QUANTITY) for name in PARAMETERS[kind] or ()}
+    if kind == "planar2r":  # whose masses have to be positive
+        parameters["p1"]["value"] = 5.0
     return {"name": "m", "mechanism": {"kind": kind, "parameters": parameters}, **plain}
 
 

@@ -49,10 +49,9 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
     memset(N, 0, sizeof *N);
     for (int l = 0; l < LANES; l++) {
         double delay = M[l].delay, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0;
-        double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0;
+        double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0, row = M->T; /* s */
         double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
-        double creep = 0, creep_lead = 0, damp = 0, dry_load = 0, keep = 0, row = M->T; /* s */
-        double j_links = 0;
+        double creep = 0, creep_lead = 0, damp = 0, dry_load = 0, keep = 0, j_links = 0;
         int two_mass = 0, lag_on = 0, drives = 0, senses = 0, hung = 0, loaded = 0, straight = 0;
         for (int i = 0; i < M->nfx; i++) {
             const double *p = M[l].p + i * MAXP;
@@ -79,8 +78,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->c_spring[l] = c_spring;
         N->j_load[l] = j_load;
         N->gap[l] = gap;
-        N->s0[l] = s0;
-        N->s1[l] = s1;
+        N->s0[l] = s0; N->s1[l] = s1;
         N->bw_force[l] = bw_force;
         N->bw_a[l] = bw_a;
         N->bw_n[l] = bw_n;

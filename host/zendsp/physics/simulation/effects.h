@@ -75,7 +75,7 @@ static void setup_joint(sim *S, int joint) {
     double delay = 0, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0, s0 = 0, s1 = 0,
            bw_force = 0, bw_a = 0, bw_n = 1, creep = 0, creep_lead = 0;
     double j_extra = 0, k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0,
-           keep = 0, column_late = 0, dry_load = 0;
+           keep = 0, column_late = 0, dry_load = 0, j_links = 0;
     const double row = S->c.period; /* s */
     int two_mass = 0, lag_on = 0, straight = 0;
     for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
@@ -101,6 +101,7 @@ static void setup_joint(sim *S, int joint) {
                      .creep_lead = creep_lead,
                      .straight = straight,
                      .dry_load = dry_load,
+                     .j_links = j_links,
                      .j_extra = j_extra,
                      .k_cubic = k_cubic,
                      .w_amp = w_amp,

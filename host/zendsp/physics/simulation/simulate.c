@@ -31,14 +31,16 @@ sim *sim_new(const sim_config *c, int room) {
         /* the motor has what the load has not, of the inertia that is the same at every pose, as in
          * kernel.c */
         if (j->two_mass) {
-            const double all =
-                c->kind == SIM_PLANAR2R ? (i == 0 ? c->p1 : c->p2) : M[i * c->joints + i];
+            const double all = j->j_links > 0             ? j->j_links
+                               : c->kind == SIM_PLANAR2R ? (i == 0 ? c->p1 : c->p2)
+                                                         : M[i * c->joints + i],
+                         least = 0.02 * (all + j->j_extra) - j->j_extra;
             if (j->j_load <=
                 0) /* nobody says how much of the inertia is the load, nor what damps it */
                 j->j_load = 0.5 * all;
             if (j->c_spring < 0)
                 j->c_spring = 0.1 * sqrt(j->k_spring * j->j_load);
-            j->j_motor = all - j->j_load > 0.02 * all ? all - j->j_load : 0.02 * all;
+            j->j_motor = all - j->j_load > least ? all - j->j_load : least;
             j->motor = S->dof++;
             S->x[j->motor] = c->q0[i];
             S->v[j->motor] = c->qd0[i];

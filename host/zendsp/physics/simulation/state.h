@@ -46,6 +46,7 @@ typedef struct { /* what an effect may look at (the names that the effects' C us
 typedef struct sim_joint { /* what the effects of site "setup" set, and states */
     double delay, lag, k_spring, c_spring, j_load, gap, s0, s1, bw_force, bw_a, bw_n, j_extra;
     double dry_load; /* dry friction of a load on a spring */
+    double j_links;  /* of an arm's links, which j_load is a part of; 0: that of the start */
     double creep; /* speed about which dry friction changes its sign; 0: it holds */
     double creep_lead; /* s: how far ahead a straight one sees the speed */
     int straight; /* it grows in proportion to the speed, not as a tanh */
