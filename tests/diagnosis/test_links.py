@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, sin
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,15 +13,17 @@ import pytest
 from reality import RATE
 
 import zendsp
-from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.prepare import at_their_poses, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.explain import joints, machine
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, with_ties
 from zendsp.physics.calibration.fit import residual
+from zendsp.physics.calibration.joint import facts
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
+from zendsp.physics.term_numbers import kernel_model
 from zendsp.tree import Array
 
 P1, P2, P3 = 0.42, 0.1, 0.1  # kg m²
@@ -49,15 +53,19 @@ def _model(side: str, *effects: dict[str, object], **columns: object) -> Model:
     )
 
 
-def _arm(side: str, *effects: dict[str, object], steps: int = 40) -> tuple[Array, Array]:
-    """Command (n, 2) of a planar arm, and its recorded positions with the first link's (n, 3)."""
+def _arm(
+    side: str, *effects: dict[str, object], steps: int = 40, elbow: float = 0.0
+) -> tuple[Array, Array]:
+    """Command (n, 2) of a planar arm, and its recorded positions with the first link's (n, 3). It
+    begins with its ``elbow`` at an angle, rad.
+    """
     motor, late = MOTOR if SPRING in effects else 0.0, LATE if FILTER in effects else 0.0
     h = 1.0 / RATE / steps
     t = np.arange(round(4.0 * RATE)) / RATE
     command = np.stack([2.0 * np.sin(7 * t) + np.sin(23 * t), 0.8 * np.sin(9 * t + 1)], 1)
     command *= np.minimum(1.0, t / 0.5)[:, None]
-    q1 = q2 = v1 = v2 = turned = speed = seen = 0.0
-    rows = []
+    q1 = v1 = v2 = turned = speed = seen = 0.0
+    q2, rows = elbow, []
     # semi-implicit Euler of a motor, where it has one, and both links
     for u1, u2 in command.tolist():
         looked_at = turned if motor and side == "motor" else q1
@@ -98,6 +106,63 @@ def test_the_other_joint_feels_the_link_and_not_what_a_sensor_shows(
     off = [np.sqrt(np.mean(residual(d, model, [2]) ** 2)) for d in (data, links)]
     assert off[1] < 0.25 * off[0]
     assert np.allclose(residual(links, model, [1]), residual(data, model, [1]))
+
+
+LINK = """<link name="l{i}"><inertial><origin xyz="{x} 0 0"/><mass value="{m}"/>
+<inertia ixx="{j}" iyy="{j}" izz="{j}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j{i}" type="continuous"><parent link="l{before}"/><child link="l{i}"/>
+<origin xyz="{at} 0 0"/><axis xyz="0 0 1"/></joint>"""
+
+
+def _of_bodies(folder: Path, load: float) -> Model:
+    """The links of the planar arm as a URDF, all of them behind the spring."""
+    length, mass = 0.3, 2.0
+    centre = P3 / (mass * length)
+    own = P1 - MOTOR - P2 - mass * length**2
+    links = LINK.format(i=1, before=0, x=0, m=1.0, j=own, at=0) + LINK.format(
+        i=2, before=1, x=centre, m=mass, j=P2 - mass * centre**2, at=length
+    )
+    (folder / "arm.urdf").write_text(f'<robot name="arm"><link name="l0"/>{links}</robot>')
+    inertia = {"kind": "inertia", "joint": 1, "amount": MOTOR}
+    return replace(
+        parse_model(
+            {
+                "sample_time": 1.0 / RATE,
+                "mechanism": {"kind": "urdf", "file": "arm.urdf"},
+                "effect": [
+                    {"kind": "viscous", "joint": 1, "coefficient": VISCOUS[0]},
+                    {"kind": "viscous", "joint": 2, "coefficient": VISCOUS[1]},
+                    inertia,
+                    SPRING | {"load_inertia": load},
+                ],
+            },
+            str(folder / "arm.toml"),
+        ),
+        folder=folder,
+    )
+
+
+def test_the_motor_behind_a_spring_of_an_arm_has_one_inertia_at_every_pose(tmp_path: Path) -> None:
+    """It had what the load leaves of the mean inertia along each recording: an arm with a spring
+    was predicted wrong at other poses than those of the fit.
+    """
+    parts = []
+    model = _of_bodies(tmp_path, 0.5)
+    for elbow in (0.0, 2.6):
+        command, shown = _arm("motor", SPRING, elbow=elbow)
+        t = np.arange(len(command)) / RATE
+        read = Signals("run", t, 1.0 / RATE, shown[:, :2], command, None, np.full(2, 1e-6))
+        parts.append(prepare([read], kernel_model(model), 64.0))
+    stretched, folded = (facts(part.records[0][0]).links for part in parts)
+    assert folded < 0.5 * stretched
+    known = kernel_model(_of_bodies(tmp_path, stretched))
+    placed = at_their_poses(known, parts[0])
+    assert placed.at(1)[-1].value("links_inertia") == stretched
+    off = [
+        [np.sqrt(np.mean(residual(part, m, [1]) ** 2)) for m in (known, placed)] for part in parts
+    ]
+    assert off[0][0] == pytest.approx(off[0][1]), "where the mean is that of the fit"
+    assert off[1][1] < 0.2 * off[1][0]
 
 
 def test_only_claimed_transmissions_change_an_unseen_links_motion() -> None:
