@@ -53,6 +53,16 @@ def test_ctrl_c_keeps_the_runs_of_a_sweep_that_are_done(real: Target, tmp_path: 
     assert real.status().state == "running" and real["Kp1"] == 2000.0
 
 
+def test_ctrl_c_says_that_the_trigger_never_came(real: Target, tmp_path: Path) -> None:
+    if real.status().state != "running":
+        real.start()
+    done = _interrupted(
+        "acquire", "e1", "-s", 0.5, "-o", tmp_path / "never.npz", "--trigger", "e1", "--level", 99,
+        when=lambda: real.acquire_status().state == "armed", what="it waits for its trigger",
+    )  # fmt: skip
+    assert "the trigger never came: e1 did not cross 99 (rising)" in done.stdout
+
+
 def test_ctrl_c_says_how_the_machine_is_left(real: Target, tmp_path: Path) -> None:
     done = _interrupted(
         "bode", "--f-min", 2, "--f-max", 10, "--no-rehearsal",

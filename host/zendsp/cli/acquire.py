@@ -105,6 +105,9 @@ def command(
             except AcquisitionError:
                 raise error from None
         late = late_since(before, t.status().timing)
+    never = ""
+    if when is not None and ended == "interrupted" and recording.trigger_row < 0:
+        never = f"; the trigger never came: {trigger} did not cross {level:g} ({edge})"
     made = "" if out.parent.is_dir() else ", in a new folder"
     written, wrong = _saved(recording, out, target, connect)
     if wrong:
@@ -117,7 +120,7 @@ def command(
         body,
         as_json,
         f"{len(recording)} rows of {len(recording.columns)} signals to"
-        f" {written}{made}, {recording.lost} lost" + (f", {late}" if late else ""),
+        f" {written}{made}, {recording.lost} lost" + (f", {late}" if late else "") + never,
     )
     drawn = plot is None or _draw(recording, plot)
     if ended == "interrupted":

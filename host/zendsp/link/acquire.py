@@ -275,6 +275,12 @@ class Recorder(Transfers):
             Another host is recording.
         """
         _check_seconds(seconds)
+        whole = isinstance(decimation, numbers.Integral) and not isinstance(decimation, bool)
+        if not whole or decimation < 1:
+            raise AcquisitionError(
+                f"decimation = {decimation!r}: every how many samples to keep one, a whole number"
+                " of 1 or more"
+            )
         names = [channels] if isinstance(channels, str) else list(channels)
         twice = [name for k, name in enumerate(names) if name in names[:k]]
         if twice:  # found out by the recording's end it would cost the recording

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from zendsp.errors import RecordingError
+from zendsp.extras import need
 from zendsp.recording.formats import Raw
 from zendsp.recording.formats.raw import upright
 from zendsp.recording.names import gather_vectors, listing
@@ -96,9 +97,12 @@ def check_suffix(path: str | Path) -> None:
     Raises
     ------
     RecordingError
-        Its suffix is none of :data:`WRITERS`.
+        Its suffix is none of :data:`WRITERS`, or what writes it is not installed.
     """
-    _writer(Path(path).expanduser())
+    path = Path(path).expanduser()
+    _writer(path)
+    if path.suffix.lower() == ".parquet":
+        need("pyarrow", "parquet", f"{path}: a Parquet file", RecordingError)
 
 
 def _writer(path: Path) -> Callable[[Samples, str, Path], None]:

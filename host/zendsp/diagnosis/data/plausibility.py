@@ -201,7 +201,8 @@ def thousandfold(factor: float, unit: str) -> str:
         return ""
     return (
         f"the command is {times} what the model expects: {other}? Write the unit that its numbers"
-        " have into the column's head, or give [actuator] gain for it"
+        " have into the column's head, or give [actuator] gain for it. (The model's inertia in"
+        " another unit looks the same.)"
     )
 
 

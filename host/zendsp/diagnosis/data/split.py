@@ -51,7 +51,7 @@ def read_divided(
     _refuse_twice(signals, held)
     begin = min(float(s.time[0]) for s in (*signals, *held))
     signals, held = ([replace(s, origin=begin) for s in each] for each in (signals, held))
-    notes = check_signals([*signals, *held], model)
+    notes = [*check_signals([*signals, *held], model), *_given_twice(signals), *_given_twice(held)]
     signals, held = with_same_columns(signals, held)
     if held:
         return signals, held, notes
@@ -59,14 +59,28 @@ def read_divided(
     return signals, held, [*notes, *how]
 
 
+def _is_same(s: Signals, h: Signals) -> bool:
+    """Whether two recordings have the same rows."""
+    return len(s.time) == len(h.time) and all(
+        np.array_equal(a, b) for a, b in ((s.position, h.position), (s.command, h.command))
+    )
+
+
+def _given_twice(signals: Sequence[Signals]) -> list[str]:
+    """The notes on recordings with the same rows."""
+    return [
+        f"{s.name} has the same rows as {signals[k].name}: given twice, it says no more"
+        for i, s in enumerate(signals)
+        for k in range(i)
+        if _is_same(s, signals[k])
+    ]
+
+
 def _refuse_twice(fitted: Sequence[Signals], held: Sequence[Signals]) -> None:
     """Refuse a recording that is both to fit to and held out."""
     for h in held:
         for s in fitted:
-            if len(s.time) == len(h.time) and all(
-                np.array_equal(a, b)
-                for a, b in ((s.position, h.position), (s.command, h.command))
-            ):
+            if _is_same(s, h):
                 raise RecordingError(
                     f"{h.name}: held out, and the same as {s.name}, which the model is fitted to:"
                     " hold out another recording, or none (a third of each is held out then)"
