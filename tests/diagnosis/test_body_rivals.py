@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_claims import claim_of
 
 from zendsp.diagnosis.decide import decide_bodies, naming
 from zendsp.diagnosis.decide.absorbed import bodies_wrong
@@ -106,11 +107,34 @@ def test_an_inertia_beside_a_body_that_calibration_can_absorb_is_not_a_finding(s
     body: Any = SimpleNamespace(sizes={1: 0.3}, found=found)
     record: Any = SimpleNamespace(n=1, scale=SimpleNamespace(torque=1.0))
     test: Any = SimpleNamespace(records=[[record]])
-    claim: Any = SimpleNamespace(effect="inertia", mechanism="inertia", size=0.2, term=law)
+    claim: Any = SimpleNamespace(
+        effect="inertia", mechanism="inertia", size=0.2, term=law, is_rigid_coupling=False
+    )
     nothing: Any = None
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
     (beside,) = beside_bodies([body], [decision], test)
     assert (beside.refinements == (claim,)) is (same == "calibration")
+
+
+@pytest.mark.parametrize(
+    ("law", "size", "stands"), [(0.0, 0.02, False), (0.0, 0.2, True), (2.0, 0.02, True)]
+)
+def test_a_small_coupling_that_bodies_have_too_corrects_the_body(
+    law: float, size: float, stands: bool
+) -> None:
+    """Beside 0.5 kg at a double pendulum, whose own inertia came out too small, a coupling by the
+    other joint's acceleration stood with 73 %.
+    """
+    found = SimpleNamespace(term=SimpleNamespace(parameters={}), indistinguishable=())
+    body: Any = SimpleNamespace(sizes={1: 0.3}, found=found)
+    record: Any = SimpleNamespace(n=1, scale=SimpleNamespace(torque=1.0))
+    test: Any = SimpleNamespace(records=[[record]])
+    claim = claim_of(Term("coupling", 1, {"law": Quantity(law)}), size)
+    nothing: Any = None
+    decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
+    (beside,) = beside_bodies([body], [decision], test)
+    assert (beside.claims == (claim,)) is stands
+    assert beside.refinements == (() if stands else (claim,))
 
 
 @pytest.mark.parametrize(("behind", "remembered"), [(0.4, True), (4.0, False)])

@@ -18,7 +18,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart
-from zendsp.diagnosis.decide.rivals import _late_alike, _likelier
+from zendsp.diagnosis.decide.rivals import _late_alike, _likelier, _shared
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
@@ -371,3 +371,10 @@ def test_a_friction_with_a_memory_is_known_by_what_its_laws_leave(
     assert told_apart(claim, found, nothing, nothing, ()) is told
     if told:
         assert by_its_variables(claim, found, nothing, nothing).mechanism == "dry_friction"
+
+
+def test_the_named_law_is_among_the_laws_however_unlikely() -> None:
+    """A lag that was named, and not told from a delay, had "laws": {"delay": 1.0}."""
+    laws = _shared(["lag", "delay", "coulomb"], np.array([1e-4, 0.9, 0.0999]), "actuator")
+    assert set(laws) == {"lag", "delay"} and laws["delay"] > 0.99
+    assert sum(laws.values()) == pytest.approx(1.0)

@@ -10,6 +10,7 @@ import reality
 from reality import KNOWN, RATE
 
 from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.data.split import read_divided
 from zendsp.errors import ModelError
 from zendsp.physics.files.model_file import load_model
 
@@ -93,3 +94,11 @@ p3 = 0.09
     path.write_text(text.format(p2=120.0))
     with pytest.raises(ModelError, match=r"p2 = 120 .*no arm"):
         load_model(path)
+
+
+def test_a_recording_given_twice_is_told(runs: list[Path], tmp_path: Path) -> None:
+    model = load_model(reality.model_file(tmp_path / "m.toml", RATE, *KNOWN))
+    _, _, notes = read_divided([runs[0], runs[0]], [runs[1]], model)
+    assert any("1.csv has the same rows as" in note and "given twice" in note for note in notes)
+    _, _, notes = read_divided([runs[0]], [runs[1]], model)
+    assert not any("given twice" in note for note in notes)
