@@ -327,7 +327,7 @@ def test_a_coupling_that_a_body_can_explain_is_called_indistinguishable_from_it(
     """
     given: Any = SimpleNamespace(kind=kind)
     term = Term("coupling", 2, {"law": Quantity(law, free=False)})
-    claim: Any = SimpleNamespace(effect="coupling", term=term, same=())
+    claim = claim_of(term, 0.1)
     assert _same(given, claim, None) == others  # type: ignore[arg-type]
 
 
@@ -343,7 +343,7 @@ def test_a_gain_as_small_as_masses_may_be_wrong_by_is_not_told_from_a_body(
     """
     given: Any = SimpleNamespace(kind=kind)
     term = Term("torque_gain", 3, {"ratio": Quantity(ratio)})
-    claim: Any = SimpleNamespace(effect="torque_gain", term=term, same=())
+    claim = claim_of(term, 0.1)
     assert _same(given, claim, None) == others  # type: ignore[arg-type]
 
 

@@ -151,7 +151,7 @@ def test_a_report_whose_pictures_are_interrupted_is_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def interrupted(_: Any, out: Path, *__: Any) -> None:
-        out.mkdir()
+        out.mkdir(exist_ok=True)
         (out / "report.json").write_text("{}")
         raise KeyboardInterrupt
 
