@@ -22,6 +22,7 @@ from zendsp.physics.calibration.predict import damping_along, response, run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.smooth import widened
 from zendsp.physics.model import Model
+from zendsp.physics.robots.rigid import Basis
 
 Array = npt.NDArray[np.float64]
 
@@ -194,8 +195,30 @@ def _noise(record: JointRecord, model: Model, band: float, even: bool) -> float:
     if record.beside is None:
         return own
     # without it the wrist of an arm, whose elbow had an encoder eight times coarser, lacked 1.4 %
-    others = as_seen(record, model, band, record.beside[np.newaxis])
+    others = _felt_behind(record, model, band, record.beside)
+    if others is None:
+        others = as_seen(record, model, band, record.beside[np.newaxis])
     return own + _energy(record, others, band, even)
+
+
+def _felt_behind(record: JointRecord, model: Model, band: float, torque: Array) -> Array | None:
+    """The torque (1, n) that an observer sees of one (n,) which shakes a load behind a
+    transmission; None where motor and load are one, or run away. A load that rings for long
+    amplifies it: of a spring of 7 Hz with a damping ratio of 0.01, errors of the other joint's
+    acceleration were 2 % of the torque, and unexplained.
+    """
+    if not any(get_effect(t.effect).family == "transmission" for t in model.at(record.joint)):
+        return None
+    nothing = np.zeros(record.n)
+    fixed = record.basis.get("fixed", Basis(nothing, nothing))
+    basis = {**record.basis, "fixed": replace(fixed, bias=fixed.bias + torque)}
+    shaken = replace(record, basis=basis, _thinned=None, _once={}, runs={})
+    here = band_of(record, band)
+    seen, still = (run(r, model, here) for r in (shaken, record))
+    if seen.diverged or still.diverged:
+        return None
+    moved = np.clip(seen.innovations - still.innovations, -1e6, 1e6)
+    return as_torque(record, model, moved, here)[np.newaxis]
 
 
 def _energy(record: JointRecord, seen: Array, band: float, even: bool) -> float:
