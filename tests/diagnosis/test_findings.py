@@ -16,7 +16,7 @@ from made_claims import claim_of, of_one_claim
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.findings import Estimate, estimates, sentence
-from zendsp.diagnosis.decide.naming import _same
+from zendsp.diagnosis.decide.naming import _is_a_coupling, _same
 from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load, _late_log
 from zendsp.diagnosis.decide.stated_numbers import (
     agreed_on,
@@ -33,7 +33,7 @@ from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import Handle
-from zendsp.physics.files.model_file import load_model
+from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.term_numbers import kernel_model
 
@@ -408,3 +408,18 @@ def test_a_joint_without_data_to_choose_by_adds_nothing_to_the_cost(
     both: Any = [SimpleNamespace(joint=j, final=final, claims=(1,)) for j in left]
     nothing: Any = None
     assert joints._cost(nothing, both) == (2, pytest.approx(1.0))
+
+
+@pytest.mark.parametrize(
+    ("p2", "joint", "coupled"), [(0.2147, 2, True), (0.2147, 1, False), (0.196, 2, False)]
+)
+def test_an_inertia_that_undoes_what_calibration_moved_may_be_a_coupling(
+    p2: float, joint: int, coupled: bool
+) -> None:
+    """A concealed coupling of 0.0209 kg m² was an inertia of -0.0188 with 97 %: p2 had moved."""
+    numbers = {"p1": 3.473, "p2": 0.196, "p3": 0.242}
+    given = parse_model({"mechanism": {"kind": "planar2r", "parameters": numbers}})
+    moved = {**given.mechanism, "p2": (Quantity(p2, std=0.0005),)}
+    claim = claim_of(Term("inertia", joint, {"amount": Quantity(-0.0188)}), 0.03)
+    values = {"amount": Estimate(-0.0188, 0.0013, "kg m²")}
+    assert _is_a_coupling(given, replace(given, mechanism=moved), claim, values) is coupled

@@ -169,7 +169,8 @@ DRAWS: dict[str, Draw] = {
     "backlash": _backlash,
     "hysteresis": _hysteresis,
     "ripple": lambda r, s, u: {
-        "order": float(r.choice((3, 4, 6, 8, 12))),
+        # 3 had 1.46 periods in a motion of the planar arm, and no wave is told from less than 1.5
+        "order": float(r.choice((5, 4, 6, 8, 12))),
         "amplitude": r.uniform(0.25, 0.6) * s.friction,
         "phase": _angle(r),
     },

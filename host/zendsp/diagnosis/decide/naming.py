@@ -28,7 +28,7 @@ from zendsp.diagnosis.decide.findings import (
 from zendsp.diagnosis.decide.patchwork import draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.stated_numbers import agreed_on, is_no_law, numbers_of
-from zendsp.diagnosis.decide.thresholds import PLAIN, PREDICTED, STEEP, TOLERANCE
+from zendsp.diagnosis.decide.thresholds import PLAIN, PREDICTED, STEEP, SURE, TOLERANCE
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
@@ -199,6 +199,9 @@ def _finding(
         several = "terms" if len(replaced) > 1 else "term"
         text += f" It stands in the place of the given model's {several} {named}."
     same = _same(given, claim, whole.data)
+    if _is_a_coupling(given, whole.improved, claim, values):
+        same = (*same, "coupling")
+        sure = min(sure, 0.5 + 0.5 / (1 + len(same)))
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
     return Finding(
@@ -214,6 +217,20 @@ def _finding(
         claim.mechanism,
         claim.laws,
     )
+
+
+def _is_a_coupling(
+    given: Model, improved: Model, claim: Claim, values: Mapping[str, Estimate]
+) -> bool:
+    """Whether an inertia at the second joint of a planar arm undoes there what calibration moved
+    its own (p2) by: both together are by algebra a coupling by the first joint's acceleration.
+    """
+    if given.kind != "planar2r" or claim.effect != "inertia" or claim.term.joint != 2:
+        return False
+    before, after = given.mechanism["p2"][0], improved.mechanism["p2"][0]
+    moved, amount = after.value - before.value, values["amount"]
+    std = math.hypot(after.std, amount.std)
+    return before.free and abs(moved) > SURE * std and abs(moved + amount.value) < SURE * std
 
 
 def _falls_to(model: Model, term: Term, torque_unit: str) -> str:
