@@ -116,7 +116,8 @@ def _hysteresis(r: random.Random, s: Scale, u: Usual) -> Mapping[str, float]:
 
 def _coupling(r: random.Random, s: Scale, u: Usual) -> Mapping[str, float]:
     """Parameters of a coupling; `draw_effect`, which knows the joint, fills in ``from_joint``."""
-    law = r.randrange(4)
+    # by acceleration, at one joint alone, no bodies do: a planar arm has another p2 for each joint
+    law = r.randrange(4) or 3
     size = (0.3 * s.inertia, s.friction / s.speed**2, s.friction / s.speed, s.friction)[law]
     return {"from_joint": 0.0, "law": float(law), "coefficient": r.uniform(0.4, 0.9) * size}
 
