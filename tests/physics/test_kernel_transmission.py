@@ -61,6 +61,39 @@ def test_a_stiffening_spring_is_harder_the_more_it_is_bent() -> None:
     assert np.max(np.abs(kernel(true, [term], 8) - true)) < 0.03 * size
 
 
+@pytest.mark.parametrize("side", ["motor", "load"])
+def test_a_spring_that_rings_when_a_recording_begins_is_no_missing_torque(side: str) -> None:
+    """The last third of a recording begins in motion: with the true model of a joint whose load
+    rang 5.75 mrad were unexplained there, 0.13 since the start of the load is fitted.
+    """
+    k, c, load = 20.0, 0.01, 0.006  # of which 2J/c are 1.2 s
+
+    def derivative(x: State, _t: float, u: float) -> State:
+        spring = k * (x[0] - x[2]) + c * (x[1] - x[3])
+        return x[1], (u - spring) / (J - load), x[3], spring / load
+
+    true = integrate(derivative, 4)[:, 0 if side == "motor" else 2]
+    term = {
+        "kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load
+    }  # fmt: skip
+    model = parse_model(
+        {
+            "sample_time": T,
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": J}},
+            "sensor": {"side": side},
+            "effect": [term],
+        }
+    )
+    off = []
+    for begin in (0, N // 2 + 60):  # from rest, and in motion
+        t = np.arange(N - begin) * T
+        seen, u = (x[begin:, np.newaxis] for x in (true, command()))
+        read = Signals("run", t, T, seen, u, None, np.full(1, 1e-6))
+        record = prepare([read], model, 64.0).records[0][0]
+        off.append(float(np.sqrt(np.mean(run(record, model, 16.0, inner=8).innovations ** 2))))
+    assert off[1] < 3.0 * off[0]
+
+
 ORDER, ERROR, PHASE, WEIGHT, ROTOR = 3.0, 0.02, 0.4, 0.2, 0.003
 
 

@@ -82,6 +82,10 @@ class JointRecord:
     shapes: dict[Any, npt.NDArray[np.float32]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+    # of springs by the latest models, see ``_begun`` of predict.py
+    begun: dict[Any, tuple[float, float]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
     _liveliest: JointRecord | None = field(default=None, init=False, repr=False, compare=False)
 
     @property

@@ -89,8 +89,8 @@ INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l, double hangs
     /* k x + k3 x^3 = push by Newton's method, which converges from above */
     for (int i = 0; i < 20 && k3 > 0; i++)
         bent -= (k * bent + k3 * bent * bent * bent - push) / (k + 3 * k3 * bent * bent);
-    if (O->side) X->q[l] += bent;
-    else X->ql[l] -= bent;
+    if (O->side) { X->q[l] += bent + M->b0; X->qd[l] += M->bd0; }
+    else { X->ql[l] += M->b0 - bent; X->qdl[l] += M->bd0; }
 }
 
 #define SIDE_Q (O->side ? X->ql[l] : X->q[l]) /* of the side that the sensor is on */
