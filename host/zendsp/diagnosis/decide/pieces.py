@@ -305,7 +305,7 @@ def dependence(scored: Scored, test: Data, joint: int) -> float:
         known = resisting(record, scored.model).known
         key = "repeats", bandwidth, test.inner
         if key not in known:
-            r = run(record, scored.model, bandwidth, inner=test.inner).innovations
+            r = run(record, scored.model, bandwidth, inner=test.inner, begun=True).innovations
             r = np.clip(r[record.counted], -1e3, 1e3)
             known[key] = repeats(r, record.sample_time)
         worst = max(worst, known[key])

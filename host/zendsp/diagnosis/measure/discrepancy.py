@@ -142,7 +142,7 @@ def lacking(data: Data, model: Model, joint: int, band: float) -> list[Array]:
     for rec in data.records:
         record = rec[joint - 1]
         here = band_of(record, band)
-        r = run(record, model, here, inner=data.inner).innovations
+        r = run(record, model, here, inner=data.inner, begun=True).innovations
         out.append(as_torque(record, model, np.clip(r, -1e6, 1e6), here))
     return out
 

@@ -159,7 +159,7 @@ def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
 
 def _sizes(data: Data, record: JointRecord, model: Model) -> Array:
     """Absolute innovations, capped where the prediction has lost track, (n,)."""
-    ran = run(record, model, data.bandwidth[record.joint - 1], inner=data.inner)
+    ran = run(record, model, data.bandwidth[record.joint - 1], inner=data.inner, begun=True)
     r: Array = np.abs(ran.innovations)
     if float(np.max(r, initial=0.0)) <= OFF_TRACK:
         return r

@@ -77,7 +77,9 @@ def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Re
             states = _measured(record.columns["position_load"], record.sample_time)
             links[joint - 1] = within_samples(states, record.sample_time)
             continue
-        link = run(record, model, data.bandwidth[joint - 1], inner=data.inner, states=side)
+        link = run(
+            record, model, data.bandwidth[joint - 1], inner=data.inner, states=side, begun=True
+        )
         if link.diverged:
             continue
         assert link.q is not None and link.qd is not None

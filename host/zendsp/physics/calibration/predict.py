@@ -82,6 +82,7 @@ def run(
     states: Literal["", "seen", "beyond"] = "",
     free_every: int = 0,
     extra: Array | None = None,
+    begun: bool = False,
 ) -> Run:
     """Predict every sample of one joint with a model.
 
@@ -101,11 +102,16 @@ def run(
         observer. An unmeasured load behind a spring restarts from an observer's estimate.
     extra : ndarray or None, shape (n,)
         Resisting torque added from outside, N m or N.
+    begun : bool
+        Whether a load on a spring begins as it fits the recording best, where that begins in
+        motion: to judge a model. In a fit it hangs still, so that all numbers have derivatives.
     """
     lib, n = native(), record.n
     p = lib.doubles
     packed = pack(model.at(record.joint))
     key = _key(record, model, packed, bandwidth, inner, free_every)
+    start = _begun(record, model, bandwidth, inner, key) if begun else (0.0, 0.0)
+    key = (*key, start)
     asked_again = not states and extra is None
     found = record.runs.pop(key, None) if asked_again else None
     if found is not None:
@@ -115,8 +121,7 @@ def run(
     m = lib.ffi.new("zk_model *")
     alive = fill(m, record, model, bandwidth, inner, packed=packed)
     m.beyond = int(states == "beyond")
-    if not free_every and extra is None:
-        m.b0, m.bd0 = _begun(record, model, bandwidth, inner, key)
+    m.b0, m.bd0 = start
     if free_every:
         value, half, w = record.position, np.zeros(n), np.ones(n)
         m.m, m.half, m.w, m.reset = p(value), p(half), p(w), free_every
@@ -194,8 +199,8 @@ def _unseen(
     """
     if not any(get_effect(t.effect).family == "transmission" for t in model.at(record.joint)):
         return None
-    seen = run(record, model, bandwidth, inner=inner, states="seen")
-    beyond = run(record, model, bandwidth, inner=inner, states="beyond")
+    seen = run(record, model, bandwidth, inner=inner, states="seen", begun=True)
+    beyond = run(record, model, bandwidth, inner=inner, states="beyond", begun=True)
     if seen.q is None or seen.qd is None or beyond.q is None or beyond.qd is None:
         return None
     return beyond.q - seen.q, beyond.qd - seen.qd
