@@ -29,6 +29,7 @@ PUBLIC = "a user's function: keywords with defaults, each explained"
 PLANNED = "the fields of its form, one keyword each"
 # file:function, or a folder: why it takes more
 TOLD = {
+    "host/zendsp/physics/calibration/predict.py:run": "what is asked of it, one keyword each",
     "host/zendsp/reference/kinds/": PLANNED,
     "host/zendsp/physics/simulation/run.py:simulate": PUBLIC,
     "host/zendsp/physics/simulation/control.py:simulate_loop": PUBLIC,
