@@ -15,6 +15,7 @@ from zendsp.diagnosis.decide.claims import Claim as JointClaim
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.report.torsion import _fitted
 from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.claims import Claim, claims_of
 from zendsp.diagnosis.transmission.motor_side import Motor
@@ -22,7 +23,7 @@ from zendsp.diagnosis.transmission.sets import Sets, lag_of, torque_scale
 from zendsp.diagnosis.transmission.shown import Shown, misread, shown
 from zendsp.diagnosis.transmission.terms import applied, choose, fitted, may_be_off
 from zendsp.diagnosis.transmission.torsion import Twist, held_drive, lowpass
-from zendsp.diagnosis.transmission.torsion_fit import rms
+from zendsp.diagnosis.transmission.torsion_fit import columns_of, rms
 from zendsp.diagnosis.transmission.waves import waves_of
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Quantity, Term
@@ -94,6 +95,18 @@ def test_an_encoder_disc_is_the_same_in_every_recording() -> None:
     # also where another recording is too short to tell a disc from a spring
     brief = [replace(t, kept=t.kept & (np.arange(len(t.q)) < 100)) for t in slow.test]
     assert rms(applied(brief, ("spring",), True, scale, found.x)) < 1e-5
+
+
+def test_the_figure_of_a_spring_shows_the_stated_one_beside_an_encoder_disc() -> None:
+    """A KUKA's figure had a fifth of the slope that its sentence states."""
+    parts = sets(on_a_disc(1e-4, 0.0), 0.5).each(lambda t: lowpass(t, 10.0)).fit
+    scale = torque_scale(parts)
+    columns = [columns_of(t, ("spring",), scale)[:, :1] for t in parts]
+    found: Any = SimpleNamespace(numbers={"details": {"compliance": 1e-4}})
+    fit, beside = _fitted(parts, columns, found, scale)
+    assert beside[0].shape[1] == 3 and -fit.x[0] == pytest.approx(1e-4, rel=0.02)
+    unstated: Any = SimpleNamespace(numbers={})
+    assert _fitted(parts, columns, unstated, scale)[1] is columns
 
 
 def read(compliance: float, width: float, travel: float) -> Shown:

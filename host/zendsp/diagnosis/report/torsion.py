@@ -26,7 +26,7 @@ from zendsp.diagnosis.transmission.torsion import (
     lowpass,
     twists,
 )
-from zendsp.diagnosis.transmission.torsion_fit import columns_of, regress, wave
+from zendsp.diagnosis.transmission.torsion_fit import Linear, columns_of, regress, wave
 
 Array = npt.NDArray[np.float64]
 TERMS = {  # the part of the torsion that each law explains
@@ -59,7 +59,7 @@ def torsion_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
         first = _columns(t, finding, scale)
         own = first.shape[1]
         columns.append(np.hstack([first, *(_columns(t, f, scale) for f in others)]))
-    fit = regress(parts, columns, off_centre=False)
+    fit, columns = _fitted(parts, columns, finding, scale)
     laws = [matrix[:, :own] @ fit.x[:own] for matrix in columns]
     stepping = finding.effect == "hysteresis" and not _late(finding)
     variable = "position" if period else "velocity" if stepping else "torque"
@@ -86,6 +86,25 @@ def torsion_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
             replace(p, ylabel=f"torsion [{unit}]", xlabel=along or p.xlabel) for p in chart.panels
         ),
     )
+
+
+def _fitted(
+    parts: list[Twist], columns: list[Array], finding: Finding, scale: float
+) -> tuple[Linear, list[Array]]:
+    """The torsion regressed on some columns, and the columns; with those of an eccentric disc where
+    the stated compliance was found beside one.
+    """
+    plain = regress(parts, columns, off_centre=False)
+    stated = finding.numbers.get("details", {}).get("compliance")
+    if stated is None:
+        return plain, columns
+    beside = [
+        np.hstack([c, columns_of(t, ("disc",), scale)])
+        for c, t in zip(columns, parts, strict=True)
+    ]
+    disc = regress(parts, beside, off_centre=False)
+    off = [abs(stated + fit.x[0]) for fit in (plain, disc)]
+    return (disc, beside) if off[1] < off[0] else (plain, columns)
 
 
 def _curve(variable: str, samples: Samples) -> Curve:
