@@ -384,6 +384,22 @@ def test_the_uncertainty_of_an_inertia_is_at_least_the_difference_between_simula
     assert amount.value == pytest.approx(0.005) and amount.std == known.std
 
 
+@pytest.mark.parametrize("accelerates", [True, False])
+def test_a_joint_that_does_not_accelerate_shows_a_wrong_weight_and_no_inertia(
+    accelerates: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(absorbed, "_size", lambda *_: 0.1)
+    monkeypatch.setattr(absorbed, "_accelerates", lambda *_: accelerates)
+    numbers = {"inertia": 0.020, "gravity": 0.4}
+    given = parse_model({"mechanism": {"kind": "rotary", "parameters": numbers}})
+    moved = {"inertia": (Quantity(0.002, std=1e-5),), "gravity": (Quantity(0.8, std=1e-3),)}
+    whole: Any = SimpleNamespace(improved=replace(given, mechanism=moved))
+    search: Any = SimpleNamespace(joint=1, alone=SimpleNamespace(model=given))
+    nothing: Any = SimpleNamespace(records=())
+    ((_, _, finding),) = absorbed.shifted(given, search, whole, (), nothing)
+    assert finding.effect == ("inertia" if accelerates else "gravity")
+
+
 def test_a_calibrated_number_is_reported_with_its_uncertainty() -> None:
     assert _by(0.5, 0.25, 0.01, "kg") == "+25 % (from 2 to 2.500 ± 0.010 kg)"
 

@@ -49,6 +49,7 @@ LATER = 0.5
 # s, and errors of the sensor: a joint whose position bends less over that time shows no inertia. At
 # constant speed it was 0.6 to 1.2; slow motion of complete machines (seed 1811) has 4.6 and more
 BEND, BENT = 0.25, 2.0
+AS_FACTOR = 10.0  # a change beyond is said as a factor, not in per cent
 G = 9.81  # m/s²
 
 
@@ -80,21 +81,12 @@ def shifted(
         return late
     if given.of_bodies:
         return _rotor(given, decision, whole, test)
-    if given.kind not in ("rotary", "linear") or not _accelerates(test, joint):
+    if given.kind not in ("rotary", "linear"):
         return []
-    moves = {}
-    for key, items in given.mechanism.items():
-        index = joint - 1 if len(items) > 1 else 0
-        if joint > 1 and len(items) == 1:
-            continue
-        before, after = items[index], whole.improved.mechanism[key][index]
-        if not before.free or before.value == 0:
-            continue
-        ratio = after.value / before.value - 1.0
-        known = max(TOLERANCE, before.std / abs(before.value))
-        spread = math.hypot(known, after.std / abs(before.value))
-        moves[key] = (ratio, ratio / spread, after.value - before.value, after.std)
     main = "inertia" if given.kind == "rotary" else "mass"
+    moves = _moves(given, whole.improved, joint)
+    if not _accelerates(test, joint):  # which shows its weight alone
+        moves.pop(main, None)
     both = [moves[key][1] for key in (main, "gravity") if key in moves]
     heavier = len(both) == 2 and _both_far(*both)
     if main not in moves or not (abs(moves[main][1]) > FAR or heavier):
@@ -130,6 +122,27 @@ def shifted(
         text += f" This recording cannot tell it from {', '.join(same)}."
     sure = min(0.9, 0.5 + 0.05 * abs(z))
     return [(z, size, _finding("inertia", joint, values, sure, tuple(same), text))]
+
+
+def _moves(
+    given: Model, improved: Model, joint: int
+) -> dict[str, tuple[float, float, float, float]]:
+    """How far calibration moved each free number of a joint's mechanism: relative, in tolerances,
+    absolute, and the new number's standard deviation.
+    """
+    moves = {}
+    for key, items in given.mechanism.items():
+        index = joint - 1 if len(items) > 1 else 0
+        if joint > 1 and len(items) == 1:
+            continue
+        before, after = items[index], improved.mechanism[key][index]
+        if not before.free or before.value == 0:
+            continue
+        ratio = after.value / before.value - 1.0
+        known = max(TOLERANCE, before.std / abs(before.value))
+        spread = math.hypot(known, after.std / abs(before.value))
+        moves[key] = (ratio, ratio / spread, after.value - before.value, after.std)
+    return moves
 
 
 def _both_far(inertia: float, gravity: float) -> bool:
@@ -467,9 +480,9 @@ def _times(change: float) -> str:
     ('+38 %', 'a factor of 25', 'a factor of 0.001: a unit?')
     """
     factor = 1.0 + change
-    if not factor > 0.0 or 0.1 <= factor <= 10.0:
+    if not factor > 0.0 or 1.0 / AS_FACTOR <= factor <= AS_FACTOR:
         return f"{100 * change:+.0f} %"
-    thousands = math.log10(factor) / 3.0
+    thousands = math.log(factor, 1e3)
     unit = ": a unit?" if abs(thousands - round(thousands)) < TOLERANCE else ""
     return f"a factor of {factor:.2g}{unit}"
 
