@@ -29,7 +29,8 @@ from integrated import (
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
-from zendsp.physics.calibration.predict import RAN_AWAY, response, run, run_many, trace
+from zendsp.physics.calibration.observed import response, trace
+from zendsp.physics.calibration.predict import RAN_AWAY, run, run_many
 from zendsp.physics.effects import library
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model, Quantity, Term

@@ -47,7 +47,7 @@ TOLD = {
     "host/zendsp/cli/tui.py:_serve": "the options of `zendsp tui --web`, handed on",
     "host/zendsp/tui/play_job.py:__init__": "a job's own fields",
     "host/zendsp/proof/mujoco/kit.py:truth": "the fields of a truth, keywords",
-    "host/zendsp/physics/calibration/predict.py:response": "how an observer sees, keywords",
+    "host/zendsp/physics/calibration/observed.py:response": "how an observer sees, keywords",
     "host/zendsp/diagnosis/decide/laws.py:named": "what a joint is decided by",
     "host/zendsp/diagnosis/decide/rivals.py:law_of": "what a joint is decided by",
 }

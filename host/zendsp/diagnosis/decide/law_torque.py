@@ -12,7 +12,7 @@ from zendsp.diagnosis.decide.thresholds import LEFT_BY_A_LAW
 from zendsp.diagnosis.measure.curve import DRY, FRICTION
 from zendsp.diagnosis.measure.discrepancy import difference, mean_square
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.calibration.predict import trace
+from zendsp.physics.calibration.observed import trace
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term, per_joint
 

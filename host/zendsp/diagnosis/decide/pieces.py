@@ -61,7 +61,8 @@ from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.simplify import SIMPLER_COST, hopeless
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import own_weight
-from zendsp.physics.calibration.predict import run, trace
+from zendsp.physics.calibration.observed import trace
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect, mechanism_of, stands_on
 from zendsp.physics.model import Model, Term
 

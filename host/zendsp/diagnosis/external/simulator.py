@@ -20,7 +20,7 @@ from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.errors import ModelError
 from zendsp.physics.calibration.joint import JointRecord, along
-from zendsp.physics.calibration.predict import sensed, trace
+from zendsp.physics.calibration.observed import sensed, trace
 from zendsp.physics.effects import Effect, get_effect, library
 from zendsp.physics.effects.base import Scale
 from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth

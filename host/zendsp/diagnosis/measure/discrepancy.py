@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
-from zendsp.physics.calibration.predict import damping_along, response, run
+from zendsp.physics.calibration.observed import damping_along, response
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.smooth import widened
 from zendsp.physics.model import Model

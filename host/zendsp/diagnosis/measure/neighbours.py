@@ -30,7 +30,7 @@ from zendsp.diagnosis.measure.structure import Ranges, counted, ranges_of, unit
 from zendsp.physics.calibration.fit import Data, bounds_and_steps, joint_handles
 from zendsp.physics.calibration.handles import Handle, get_values, set_values
 from zendsp.physics.calibration.joint import JointRecord
-from zendsp.physics.calibration.predict import trace
+from zendsp.physics.calibration.observed import trace
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 

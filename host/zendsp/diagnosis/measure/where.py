@@ -27,7 +27,8 @@ from zendsp.diagnosis.measure.discrepancy import (
 )
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
-from zendsp.physics.calibration.predict import damping_along, response, run
+from zendsp.physics.calibration.observed import damping_along, response
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.kernel.smooth import moving_mean
 from zendsp.physics.model import Model, per_joint
 

@@ -2,7 +2,7 @@
 
 At a single joint a wrong body looks like a gain, a coupling or a gravity. Here all joints decide
 together. To first order, the torque that a body adds along the measured motion appears in the
-observers' innovations (``response`` of ``physics/calibration/predict.py``). That torque is linear
+observers' innovations (``response`` of ``physics/calibration/observed.py``). That torque is linear
 in ten numbers of each link (``physics/robots/bodies.py``). Beside them, every joint has nuisance
 columns of its own: offset, rotor inertia, and what is odd in its own speed, whatever law its
 friction has. So missing friction is not mistaken for a body, nor a body for friction. A hypothesis

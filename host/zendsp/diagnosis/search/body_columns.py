@@ -25,7 +25,8 @@ from zendsp.diagnosis.search.body_hypotheses import (
 )
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
-from zendsp.physics.calibration.predict import damping_along, response, run
+from zendsp.physics.calibration.observed import damping_along, response
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Quantity, Term, per_joint

@@ -19,7 +19,7 @@ from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.fit import Data, Fit
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.joint import JointRecord, along, effective_inertia, facts
-from zendsp.physics.calibration.predict import damping_along, response, sensed, trace
+from zendsp.physics.calibration.observed import damping_along, response, sensed, trace
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.effects.base import Parameter

@@ -1,6 +1,4 @@
-"""Predictions of a model along one joint's recording by the kernel: with an observer, free, and to
-first order.
-"""
+"""Predictions of a model along one joint's recording by the kernel: with an observer, and free."""
 
 from __future__ import annotations
 
@@ -321,7 +319,7 @@ def fill(
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
     fill_rigid(m, record, model, inertia, bias)
     own = own_terms(model.at(record.joint))
-    _felt(record, own)  # refuses what reads a column that is not there
+    felt(record, own)  # refuses what reads a column that is not there
     m.nfx, m.kind, m.p = len(own), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     fill_shift(m, record, per_joint(model.sensor.offset, record.joint, 0.0))
     m.load_sensor = 1 if model.sensor.side == "load" else 0
@@ -336,7 +334,7 @@ def _of_record(record: JointRecord, bandwidth: float) -> Any:
     m.n, m.T, m.ucum = record.n, record.sample_time, p(record.integral)
     m.m, m.half = p(record.measurement.value), p(record.measurement.half)
     m.k1, m.k2, m.w = (p(gain) for gain in record.gains(bandwidth))
-    m.other, m.temperature = p(record.others), p(_felt(record, ()))
+    m.other, m.temperature = p(record.others), p(felt(record, ()))
     m.qd0, m.a0 = float(rqd[0]), _first_acceleration(record)
     m.rq, m.rqd, m.t0 = p(rq), p(rqd), record.began
     return m
@@ -384,47 +382,7 @@ def fill_shift(m: Any, record: JointRecord, offset: float) -> None:
     m.q0 = float(record.motion.states[0][0] + m.shift)
 
 
-def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floor: float) -> Array:
-    """Resisting torque of some effects along the measured motion, (n,); dry friction smoothed over
-    ``speed_floor`` rad/s.
-    """
-    lib, n = native(), record.n
-    p, ffi = lib.doubles, lib.ffi
-    kinds, table = pack(terms)
-    m = ffi.new("zk_model *")
-    m.n, m.T, m.t0 = n, record.sample_time, record.began
-    m.gain, m.limit = per_joint(model.actuator.gain, record.joint, 1.0), 0.0
-    m.other, m.nfx, m.temperature = p(record.others), len(own_terms(terms)), p(_felt(record, terms))
-    m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
-    inertia, bias = record.inertia_and_bias(model)
-    inertia = inertia + added_inertia(model, record.joint)
-    fill_rigid(m, record, model, inertia, bias)
-    motion = np.ascontiguousarray(record.motion.states)
-    out = np.empty(n)
-    lib.lib.zk_trace(m, p(motion), p(record.command), speed_floor, p(out))
-    return out
-
-
-def damping_along(record: JointRecord, model: Model) -> Array:
-    """Viscous torque per unit of speed along the measured motion, (n,) N m s/rad or N s/m, for each
-    sample's direction.
-    """
-    viscous = tuple(
-        t
-        for t in model.at(record.joint)
-        if (e := get_effect(t.effect)).site == "viscous" and e.mechanism == "fluid_friction"
-    )
-    if not viscous:
-        return np.zeros(record.n)
-    speed = record.motion.states[1]
-    moves = speed != 0.0
-    slope = trace(record, model, viscous, 0.0)[moves] / speed[moves]
-    out = np.full(record.n, np.mean(slope) if moves.any() else 0.0)
-    out[moves] = slope
-    return out
-
-
-def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
+def felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
     """The temperature column, (n,) °C; empty where there is none and no term asks for it.
 
     Raises
@@ -445,66 +403,3 @@ def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
             f"temperature has {len(felt)} rows; expected {record.n}, as many as the position"
         )
     return felt
-
-
-def sensed(record: JointRecord, terms: tuple[Term, ...], position: Array | None = None) -> Array:
-    """The error that the position sensor adds to a motion, (n,) rad or m; to the measured motion
-    where no ``position`` is given.
-    """
-    lib = native()
-    p, ffi = lib.doubles, lib.ffi
-    q = np.ascontiguousarray(record.motion.states[0] if position is None else position)
-    kinds, table = pack(terms)
-    m, out = ffi.new("zk_model *"), np.empty(len(q))
-    m.n = len(q)
-    m.nfx = len(terms)
-    m.kind = ffi.cast("int *", ffi.from_buffer(kinds))
-    m.p = p(table)
-    lib.lib.zk_sense(m, p(q), p(out))
-    return out
-
-
-def response(
-    record: JointRecord,
-    bandwidth: float,
-    inertia: Array,
-    damping: Array,
-    columns: npt.NDArray[np.floating[Any]],
-    *,
-    on_sensor: bool = False,
-    unseen: bool = False,
-    then: tuple[Array, int] | None = None,
-    rows: npt.NDArray[np.int32] | None = None,
-) -> Array:
-    """The first-order response of the weighted innovations to torque columns (m, n), doubles or
-    floats. ``on_sensor``: position columns instead; ``unseen``: where the prediction begins, the
-    sensor says with them what it said. ``then``: a factor for each sample, (n,), and the samples by
-    which the result is shifted earlier, with zeros at its end. ``rows``: the wanted samples,
-    ascending, before that end; all by default.
-    """
-    lib, n = native(), record.n
-    p, ffi = lib.doubles, lib.ffi
-    k1, k2, w = record.gains(bandwidth)
-    columns = np.ascontiguousarray(np.atleast_2d(columns))
-    active = np.ones(n)
-    out = np.empty((len(columns), n if rows is None else len(rows)))
-    lib.lib.zk_filter(
-        n,
-        record.sample_time,
-        p(k1),
-        p(k2),
-        p(w),
-        p(active),
-        p(np.ascontiguousarray(inertia)),
-        p(np.ascontiguousarray(damping)),
-        len(columns),
-        ffi.cast("void *", ffi.from_buffer(columns)),
-        int(columns.dtype == np.float32),
-        2 if on_sensor and unseen else int(on_sensor),
-        ffi.NULL if then is None else p(then[0]),
-        0 if then is None else then[1],
-        ffi.NULL if rows is None else ffi.cast("int *", ffi.from_buffer(rows)),
-        0 if rows is None else len(rows),
-        p(out),
-    )
-    return out
