@@ -27,8 +27,9 @@ import zendsp
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.decide.beside_bodies import beside_bodies
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.decide_bodies import _why_unsure, beside_bodies
+from zendsp.diagnosis.decide.decide_bodies import _why_unsure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.report.laws import where_most
 from zendsp.diagnosis.report.sides import Sides

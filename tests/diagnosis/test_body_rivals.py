@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from made_claims import claim_of
 
+from zendsp.diagnosis.decide import beside_bodies as beside
 from zendsp.diagnosis.decide import decide_bodies, naming
 from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.decide_bodies import BodyClaim, beside_bodies
+from zendsp.diagnosis.decide.decide_bodies import BodyClaim
 from zendsp.diagnosis.explain import machine
 from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.bodies import FoundBody
@@ -22,6 +23,8 @@ from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.robots.bodies import Links
+from zendsp.tree import Body
 
 GIVEN = Model("arm", 0.01, "urdf", {})
 
@@ -92,12 +95,39 @@ def test_a_constant_or_a_gain_within_the_uncertainty_of_a_bodys_centre_belongs_t
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
     found = SimpleNamespace(term=term, indistinguishable=())
     body: Any = SimpleNamespace(sizes={1: 0.03}, found=found)
-    (beside,) = beside_bodies([body], [decision], test)
-    assert (beside.claims == (claim,)) is stands
+    (after,) = beside.beside_bodies([body], [decision], test)
+    assert (after.claims == (claim,)) is stands
     nameless = replace(claim, effect="unknown", term=Term("torque_offset", 1, {}))
     law = replace(nameless, effect="torque_offset")
-    (beside,) = beside_bodies([body], [replace(decision, claims=(nameless,))], test)
-    assert beside.refinements == (() if stands else (law,)), "a refinement is a law"
+    (after,) = beside.beside_bodies([body], [replace(decision, claims=(nameless,))], test)
+    assert after.refinements == (() if stands else (law,)), "a refinement is a law"
+
+
+@pytest.mark.parametrize(("order", "stands"), [(8.0, True), (1.0, False)])
+def test_a_wave_that_no_body_can_draw_stands_beside_an_uncertain_body(
+    order: float, stands: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Most of a payload's uncertainty came from the drives' gains. A ripple of eight waves a turn,
+    smaller than that, became a refinement, although weight has one wave a turn.
+    """
+    t = np.arange(2000) * 0.002
+    q = np.stack([np.sin(2.0 * t), np.sin(3.1 * t)])
+    motion = np.stack([q, np.gradient(q, 0.002, axis=1), -q * [[4.0], [9.61]]], axis=1)
+    at = np.array([0.0, 0.0, 0.4])
+    bodies = [Body(k - 1, False, np.eye(3)[1], np.eye(3), at, 1.0, at, np.eye(3)) for k in (0, 1)]
+    links = Links(tuple(bodies), np.array([0.0, 0.0, -9.81]), motion)
+    others = SimpleNamespace(torque=1.0)
+    record: Any = SimpleNamespace(n=t.size, links=links, others=motion, scale=others)
+    test: Any = SimpleNamespace(records=[[record, record]])
+    monkeypatch.setattr(beside, "trace", lambda *_: np.cos(order * q[0] + 0.3))
+    claim = claim_of(Term("ripple", 1, {"order": Quantity(order)}), 0.02)
+    nothing: Any = None
+    decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
+    decision = replace(decision, final=SimpleNamespace(model=GIVEN))
+    found = SimpleNamespace(term=SimpleNamespace(parameters={}), indistinguishable=())
+    body: Any = SimpleNamespace(sizes={1: 0.9}, found=found)
+    (after,) = beside.beside_bodies([body], [decision], test)
+    assert (after.claims == (claim,)) is stands
 
 
 @pytest.mark.parametrize("same", ["calibration", "torque_gain"])
@@ -112,8 +142,8 @@ def test_an_inertia_beside_a_body_that_calibration_can_absorb_is_not_a_finding(s
     )
     nothing: Any = None
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
-    (beside,) = beside_bodies([body], [decision], test)
-    assert (beside.refinements == (claim,)) is (same == "calibration")
+    (after,) = beside.beside_bodies([body], [decision], test)
+    assert (after.refinements == (claim,)) is (same == "calibration")
 
 
 @pytest.mark.parametrize(
@@ -132,9 +162,9 @@ def test_a_small_coupling_that_bodies_have_too_corrects_the_body(
     claim = claim_of(Term("coupling", 1, {"law": Quantity(law)}), size)
     nothing: Any = None
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
-    (beside,) = beside_bodies([body], [decision], test)
-    assert (beside.claims == (claim,)) is stands
-    assert beside.refinements == (() if stands else (claim,))
+    (after,) = beside.beside_bodies([body], [decision], test)
+    assert (after.claims == (claim,)) is stands
+    assert after.refinements == (() if stands else (claim,))
 
 
 @pytest.mark.parametrize(("behind", "remembered"), [(0.4, True), (4.0, False)])

@@ -19,11 +19,11 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed
 from zendsp.diagnosis.decide.confidence import sure_by
-from zendsp.diagnosis.decide.contract import Further, Rejected, Verdict
+from zendsp.diagnosis.decide.contract import Further, Rejected
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number, percent
 from zendsp.diagnosis.decide.pieces import log_e_value
-from zendsp.diagnosis.decide.thresholds import LAW_ERROR, OWN_SHARE, PLAIN, SURE
-from zendsp.diagnosis.measure.discrepancy import difference, mean_square
+from zendsp.diagnosis.decide.thresholds import PLAIN
+from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
@@ -33,9 +33,9 @@ from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import Explained, seen, tied
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
 from zendsp.diagnosis.search.body_numbers import agreed, gain_known, refined, stated, unsure
-from zendsp.physics.calibration.fit import Data, joint_handles
+from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.effects import library
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model
 from zendsp.physics.robots.bodies import Links
 
 # of a body's squared torque over all joints: this part must act where it exceeds what is left
@@ -189,45 +189,6 @@ def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float)
     return BodyClaim(found, sizes, gain, max(0.05, sure))
 
 
-def beside_bodies(
-    claims: Sequence[BodyClaim], decisions: Sequence[Decision], test: Data
-) -> list[Decision]:
-    """The decisions, with claims turned into refinements where they may be the error of a body: a
-    constant, a function of the position, or a gain of the torque, which is mostly weight, no larger
-    than the uncertainty of its weight, and a small inertia or coupling as bodies have it. Where
-    calibration could have absorbed the body but was held, any inertia counts.
-    """
-    out = []
-    calibrates = any("calibration" in c.found.indistinguishable for c in claims)
-    for decision in decisions:
-        largest = max((c.sizes.get(decision.joint, 0.0) for c in claims), default=0.0)
-        wrong = max((_wrong_by(c.found.term, decision.joint, test) for c in claims), default=0.0)
-        weight = [
-            c
-            for c in decision.claims
-            if (
-                c.size < max(LAW_ERROR * largest, SURE * wrong)
-                and (
-                    c.mechanism == "position_torque" or c.is_constant or c.effect == "torque_gain"
-                )
-            )
-            or (c.effect == "inertia" and calibrates)
-            or (
-                (c.effect == "inertia" or c.is_rigid_coupling)
-                and c.size**2 < OWN_SHARE * largest**2
-            )
-        ]
-        keep = tuple(c for c in decision.claims if not any(c is w for w in weight))
-        if weight:
-            kind = decision.kind if keep else Verdict.COMPLETE
-            # a refinement is a law of the improved model, whatever was claimed of it
-            laws = [_as_law(c) for c in weight if c.term.effect != "unknown"]
-            more = (*decision.refinements, *laws)
-            decision = replace(decision, kind=kind, claims=keep, refinements=more)
-        out.append(decision)
-    return out
-
-
 def like_bodies() -> frozenset[str]:
     """The effects of single joints that a body may be mistaken for: its ``rivals``."""
     return frozenset(r for e in library().values() if e.site == "body" for r in e.rivals)
@@ -257,29 +218,6 @@ def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decisio
 def _shared(others: int) -> float:
     """The highest confidence of a claim beside so many ``others`` that explain as well."""
     return 0.5 + 0.5 / (1 + others)
-
-
-def _as_law(claim: Claim) -> Claim:
-    name = claim.term.effect
-    return claim if claim.effect == name else replace(claim, effect=name)
-
-
-def _wrong_by(term: Term, joint: int, test: Data) -> float:
-    """The uncertainty of a body's torque at a joint (each number one standard deviation off), as a
-    part of the RMS torque.
-    """
-    total = 0.0
-    for key, q in term.parameters.items():
-        off = replace(q, value=q.value + q.std)
-        both = (replace(term, parameters={**term.parameters, key: off}), term)
-        for rec in test.records if q.std > 0.0 else ():
-            record = rec[joint - 1]
-            assert record.links is not None
-            there, here = (record.links.change([t], joint - 1) for t in both)
-            pulled = (there.inertia - here.inertia) * record.others[joint - 1, 2]
-            total += float(np.sum((there.bias - here.bias + pulled) ** 2))
-    count = sum(rec[joint - 1].n for rec in test.records)
-    return math.sqrt(total / max(count, 1) / mean_square(test, joint))
 
 
 def feels(found: FoundBody, joint: int, links: Links | None) -> bool:

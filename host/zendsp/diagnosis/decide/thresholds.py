@@ -83,6 +83,9 @@ COMMANDED = 0.9
 # with less it is merely some curve over the speed. Right curves had 0.70 and 1.07 (seed 1003), a
 # sine of the speed 0.14 (seed 902)
 BASE_LEFT = 0.25
+# of the squares of a torque over the position beside a claimed body: where bodies can draw more it
+# may be the error of its weight. Of a ripple of eight waves a turn they drew 0.24
+DRAWN = 0.5
 # times the given number, for friction beside another law of the same kind. Beside 13 right laws
 # viscous friction came out at 0.5 to 1.3 times its given number; beside two drags that imitated
 # |v|^1.5 at 3.2 and 5.5 times; where calibration drove dry friction to zero, at 10 for |v|^1.6 (one

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.across import across_joints, friction_beside, may_be_strapped, timing
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
+from zendsp.diagnosis.decide.beside_bodies import beside_bodies
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide_bodies import (
     BodyClaim,
-    beside_bodies,
     decide_bodies,
     like_bodies,
     or_bodies,
