@@ -124,7 +124,7 @@ def _lattice(step: Array, alike: float) -> float:
     if len(sizes) < 2:
         return 0.0
     quantum = float(min(np.min(np.diff(sizes)), sizes[0]))
-    multiple = sizes / quantum
+    multiple = ordered / quantum  # every step: a smear of steps has a mean, too
     off = float(np.max(np.abs(multiple - np.round(multiple))))
     return quantum if off < ON_LATTICE else 0.0
 
