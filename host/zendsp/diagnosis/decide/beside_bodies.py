@@ -61,14 +61,20 @@ def _may_be_weight(claim: Claim, decision: Decision, test: Data) -> bool:
     """Whether what a joint lacks may be the weight of a body that is not quite as found."""
     if claim.is_constant or claim.effect == "torque_gain":
         return True
-    if claim.mechanism != "position_torque" or claim.effect == "unknown":
-        return claim.mechanism == "position_torque"
-    return _drawn_by_bodies(claim.term, decision.final.model, decision.joint, test) > DRAWN
+    if claim.mechanism != "position_torque":
+        return False
+    terms = [claim.term]
+    if claim.effect == "unknown":  # a curve, of all laws that draw it
+        terms += [c.term for c in decision.refinements if c.mechanism == claim.mechanism]
+    laws = tuple(t for t in terms if t.effect != "unknown")
+    if not laws:
+        return True
+    return _drawn_by_bodies(laws, decision.final.model, decision.joint, test) > DRAWN
 
 
-def _drawn_by_bodies(term: Term, model: Model, joint: int, test: Data) -> float:
-    """The part of the squares of a term's torque that a constant and changes of the links beyond a
-    joint can draw, along the measured motion.
+def _drawn_by_bodies(terms: tuple[Term, ...], model: Model, joint: int, test: Data) -> float:
+    """The part of the squares of the torque of some terms that a constant and changes of the links
+    beyond a joint can draw, along the measured motion.
     """
     left = whole = 0.0
     for rec in test.records:
@@ -76,7 +82,7 @@ def _drawn_by_bodies(term: Term, model: Model, joint: int, test: Data) -> float:
         links = record.links
         assert links is not None
         some = slice(None, None, max(1, record.n // ENOUGH_ROWS))
-        torque = trace(record, model, (term,), 0.0)[some]
+        torque = trace(record, model, terms, 0.0)[some]
         moved = [k for k in range(len(links.bodies)) if links.moves(joint - 1, k)]
         rows = [links.columns(joint - 1, k)[1][:, some] for k in moved]
         columns = np.concatenate([np.ones((1, len(torque))), *rows])
