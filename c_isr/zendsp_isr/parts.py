@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from xml.etree import ElementTree
 
 from zendsp_isr.build import Built, build, source_root
 from zendsp_protocol.errors import CompileFailed
@@ -147,6 +150,31 @@ def is_model(machine: str) -> bool:
     (True, False)
     """
     return Path(machine).suffix.lower() in _MODELS
+
+
+def stated_speeds(model: str) -> str:
+    """The speeds that a URDF limits its joints to, rad/s or m/s: names and numbers, parted by tabs;
+    MuJoCo does not read them. Empty of another file, and of one that MuJoCo will refuse.
+    """
+    if Path(model).suffix.lower() != ".urdf":
+        return ""
+    stated = []
+    try:
+        for joint in ElementTree.parse(model).iter("joint"):
+            limit, name = joint.find("limit"), joint.get("name", "")
+            speed = _above_zero("" if limit is None else limit.get("velocity", ""))
+            stated += [name, repr(speed)] if name and speed else []
+    except (ElementTree.ParseError, OSError, ValueError):
+        return ""
+    return "\t".join(stated)
+
+
+def _above_zero(text: str) -> float:
+    """The number that a text holds; 0 where it holds none, or one that limits nothing."""
+    with contextlib.suppress(ValueError):
+        value = float(text)
+        return value if 0.0 < value < math.inf else 0.0
+    return 0.0
 
 
 def with_remedy(said: str, model: str) -> str:

@@ -188,4 +188,6 @@ def test_what_cannot_be_put_back_is_said() -> None:
     with local("imi_planar", clock="fast") as target:
         target.download("pd.c")
         before = Before(target, ["use_table", "row_rate"])
+        nothing = Before(target, ["absent"])
     assert before.put_back().startswith("not all of use_table, row_rate is put back: ")
+    assert nothing.put_back().startswith("the target did not hear that the run ended: ")

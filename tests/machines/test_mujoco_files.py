@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from plants import MODELS, edited, robot
 
+import zendsp
 from zendsp_isr.parts import build_machine
 from zendsp_protocol.errors import CompileFailed, Refused
 from zendsp_target.runtime.process.runner import look_at
@@ -274,3 +275,18 @@ def test_xacro_in_a_comment_is_ignored(tmp_path: Path) -> None:
     file = tmp_path / "pole.urdf"
     file.write_text(URDF + '<!-- made by xacro of <xacro:pole mass="${mass}"/> -->')
     assert build_machine(str(file)).suffix == ".so"
+
+
+def test_a_urdf_limits_the_speed_of_its_joints_unless_others_are_given(tmp_path: Path) -> None:
+    def speed(limit: str, *options: str) -> float:
+        file = tmp_path / "pole.urdf"
+        file.write_text(URDF.replace('velocity="2"', limit))
+        with zendsp.local(str(file), clock="fast", options=options) as target:
+            target.download("joint_pd.c")
+            return target.machine().joints[0].speed_max
+
+    assert speed('velocity="2"') == 2.0
+    assert speed('velocity="20"') == 20.0
+    assert speed('velocity="2"', "--machine-option", "speed_max=3") == 3.0
+    for says_nothing in ("", 'velocity="0"', 'velocity="-1"', 'velocity="inf"', 'velocity="two"'):
+        assert speed(says_nothing) == pytest.approx(2 * np.pi)

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 
 import zendsp
 import zendsp_isr
+from zendsp.cli.planned_for import machine_for
 from zendsp.cli.reference import command
 from zendsp.errors import ReferenceError_
 from zendsp.reference import (
@@ -201,3 +202,62 @@ def test_a_urdf_tells_the_limits_to_plan_within(tmp_path: Path) -> None:
     absent = CliRunner().invoke(command, ["step", "--machine", str(tmp_path / "absent.urdf")])
     assert isinstance(absent.exception, ReferenceError_)
     assert "no such file" in str(absent.exception)
+
+
+FORK = """<robot name="fork"><link name="base"/>
+<link name="l1"><inertial><origin xyz="0.1 0 0.2"/><mass value="3"/>
+<inertia ixx=".02" iyy=".03" izz=".02" ixy=".001" ixz="0" iyz="0"/></inertial></link>
+<link name="l2"><inertial><origin xyz="0 0.1 0.1"/><mass value="1"/>
+<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="l3"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
+<inertia ixx=".01" iyy=".02" izz=".02" ixy="0" ixz=".001" iyz="0"/></inertial></link>
+<joint name="root" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" velocity="9" effort="90"/></joint>
+<joint name="zeta" type="revolute"><parent link="l1"/><child link="l2"/><axis xyz="1 0 0"/>
+<origin xyz="0 0.1 0.3"/><limit lower="-2" upper="2" velocity="9" effort="90"/>
+<dynamics damping="0.5" friction="0.8"/></joint>
+<joint name="alpha" type="prismatic"><parent link="l1"/><child link="l3"/><axis xyz="0 0 1"/>
+<origin xyz="0 -0.1 0.3"/><limit lower="-1" upper="1" velocity="9" effort="90"/></joint></robot>
+"""
+
+
+def test_a_urdf_tells_the_torque_of_a_motion_in_its_own_order_of_joints(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    pin = pytest.importorskip("pinocchio")
+    file = tmp_path / "fork.urdf"
+    file.write_text(FORK)
+    machine = machine_for(str(file), "", None)
+    assert machine is not None and machine.modelled
+    rng = np.random.default_rng(0)
+    q, qd, qdd = (rng.uniform(-1.0, 1.0, (20, 3)) for _ in range(3))
+    told = machine.torque(Reference(q, 0.001, qd, qdd))
+    model = pin.buildModelFromXML(FORK)
+    data, names = model.createData(), ["root", "zeta", "alpha"]
+    at = [model.idx_vs[model.getJointId(name)] for name in names]
+    for k in range(20):
+        full = [np.zeros(3) for _ in range(3)]
+        for vector, column in zip(full, (q, qd, qdd), strict=True):
+            vector[at] = column[k]
+        rigid = pin.rnea(model, data, *full)[at]
+        rigid[1] += 0.5 * qd[k, 1] + 0.8 * np.tanh(100.0 * qd[k, 1])
+        assert told is not None and told[k] == pytest.approx(rigid, abs=1e-9)
+
+
+def test_a_motion_beyond_the_torque_of_a_urdf_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    file = tmp_path / "arm.urdf"
+    file.write_text(URDF.replace('xyz="0 0 1"', 'xyz="0 1 0"').replace('effort="30"', 'effort="2"'))
+    held = CliRunner().invoke(
+        command, ["point_to_point", "--machine", str(file), "--start", "0", "--goal", "0.5"]
+    )
+    assert isinstance(held.exception, ReferenceError_) and "torque" in str(held.exception)
+
+
+def test_a_urdf_that_is_no_tree_of_the_joints_tells_its_limits_alone(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    file = tmp_path / "fork.urdf"
+    follows = '<mimic joint="root" multiplier="1"/></joint></robot>'
+    turns = FORK.replace('type="prismatic"', 'type="revolute"')
+    file.write_text(turns.replace("</joint></robot>", follows))
+    machine = machine_for(str(file), "", None)
+    assert machine is not None and not machine.modelled

@@ -47,8 +47,8 @@ def machine_for(name: str | None, target: str, connect: str | None) -> Machine |
 
 
 def _simulated(file: Path) -> Machine:
-    """The machine of a robot's file, as a target that simulates it would tell; of a URDF with the
-    speeds that it limits, which MuJoCo does not read.
+    """The machine of a robot's file, as a target that simulates it would tell; of a URDF with its
+    rigid bodies.
     """
     from zendsp.link import local
 
@@ -56,22 +56,37 @@ def _simulated(file: Path) -> Machine:
         raise ReferenceError_(f"--machine {file}: no such file")
     with local(str(file), clock="fast") as target:
         machine, said = _told_by(target)
-    if file.suffix.lower() != ".urdf":
+    return _with_bodies(machine, file, said) if file.suffix.lower() == ".urdf" else machine
+
+
+def _with_bodies(machine: Machine, file: Path, said: MachineInfo) -> Machine:
+    """The machine with the rigid bodies and the friction of its URDF, which say what torque a
+    motion needs; as it was where these are no tree of the machine's joints.
+    """
+    from zendsp.errors import ModelError
+    from zendsp.physics.robots.urdf import read_urdf, urdf_friction, urdf_joints
+
+    names = [joint.name for joint in said.joints]
+    try:
+        chain = [name for name in urdf_joints(str(file)) if name in names]
+        bodies, gravity = read_urdf(str(file), chain)
+        friction = urdf_friction(str(file))
+    except ModelError:
         return machine
-    from xml.etree import ElementTree
-
-    import numpy as np
-
-    stated = {
-        joint.get("name", ""): float(limit.get("velocity", "inf"))
-        for joint in ElementTree.parse(file).iter("joint")
-        if (limit := joint.find("limit")) is not None
-    }
-    speeds = [
-        min(own, stated.get(joint.name) or own)  # 0: it says nothing
-        for joint, own in zip(said.joints, machine.limits.speed, strict=True)
+    if sorted(chain) != sorted(names):
+        return machine
+    viscous, coulomb = zip(*(friction.get(name, (0.0, 0.0)) for name in names), strict=True)
+    told = [chain.index(name) for name in names]  # MuJoCo keeps the order of the file
+    links = [
+        replace(bodies[k], parent=told.index(bodies[k].parent) if bodies[k].parent >= 0 else -1)
+        for k in told
     ]
-    return replace(machine, limits=replace(machine.limits, speed=np.array(speeds)))
+    return replace(
+        machine,
+        kind="tree",
+        title=f"{machine.name}, as its URDF has it",
+        parameters={"bodies": links, "gravity": gravity, "viscous": viscous, "coulomb": coulomb},
+    )
 
 
 def _told_by(target: Target) -> tuple[Machine, MachineInfo]:

@@ -55,7 +55,12 @@ class Before:
         try:
             self._target.request("run_end", run=self._begun.run)
         except ZendspError as error:
-            return f"not all of {', '.join(self._begun.names)} is put back: {error}"
+            what = ", ".join(self._begun.names)
+            return (
+                f"not all of {what} is put back: {error}"
+                if what
+                else f"the target did not hear that the run ended: {error}"
+            )
         return ""
 
 

@@ -90,11 +90,11 @@ class Pendulum(Dynamics):
         return ((tau[0] - resist) / self.theta1,)
 
 
-class DHArm(Dynamics):
-    """A serial arm given by standard Denavit–Hartenberg frames."""
+class Tree(Dynamics):
+    """A tree of rigid bodies, as a URDF has it."""
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:
-        self.bodies = make_bodies(parameters["link"])
+        self.bodies: Sequence[Body] = parameters["bodies"]
         self.gravity = np.array(parameters["gravity"], dtype=np.float64)
         self.viscous = np.asarray(parameters["viscous"], dtype=np.float64)
         self.coulomb = np.asarray(parameters["coulomb"], dtype=np.float64)
@@ -111,6 +111,13 @@ class DHArm(Dynamics):
         at = np.array(q, dtype=np.float64)
         answer: list[float] = forward_dynamics(self.bodies, self.gravity, at, v, free).tolist()
         return answer
+
+
+class DHArm(Tree):
+    """A serial arm given by standard Denavit–Hartenberg frames."""
+
+    def __init__(self, parameters: Mapping[str, Any]) -> None:
+        super().__init__({**parameters, "bodies": make_bodies(parameters["link"])})
 
 
 def make_bodies(links: Sequence[Mapping[str, Any]]) -> list[Body]:
@@ -153,7 +160,7 @@ def make_dynamics(kind: str, parameters: Mapping[str, Any]) -> Dynamics:
     Parameters
     ----------
     kind : str
-        "planar2r", "pendulum" or "dh".
+        "planar2r", "pendulum", "dh" or "tree".
     parameters : mapping
         Numbers of the model.
 
@@ -175,7 +182,7 @@ def make_dynamics(kind: str, parameters: Mapping[str, Any]) -> Dynamics:
     [[3.4, 0.4]]
     """  # noqa: E501
     kinds: dict[str, Callable[[Mapping[str, Any]], Dynamics]] = {
-        "planar2r": Planar2R, "pendulum": Pendulum, "dh": DHArm,
+        "planar2r": Planar2R, "pendulum": Pendulum, "dh": DHArm, "tree": Tree,
     }
     if kind not in kinds:
         raise ReferenceError_(f'machine kind "{kind}" is unknown; expected {", ".join(kinds)}')

@@ -46,8 +46,8 @@ class Machine:
     name, title : str
         Identifier, and the words for a person.
     kind : str
-        "planar2r", "pendulum" or "dh": which rigid-body model the parameters are for; "limits":
-        there is no model, only the limits are known.
+        "planar2r", "pendulum", "dh" or "tree" (bodies of a URDF): which rigid-body model the
+        parameters are for; "limits": there is no model, only the limits are known.
     joints : int
         Number of joints.
     sample_time : float

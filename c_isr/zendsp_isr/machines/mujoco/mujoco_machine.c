@@ -21,7 +21,8 @@
  * Analog inputs: the scalars of the model's sensors, in the order of the file, the first eight.
  *
  * Config keys: model (path), clock, joints (names, by comma), keyframe (name), q1 … (start), counts
- * (encoder, a turn or a metre), speed_max, torque_max (of every joint), substep (s), din (bits),
+ * (encoder, a turn or a metre), speed_max, torque_max (of every joint), speeds (by name, as a URDF
+ * states them), substep (s), din (bits),
  * those of plant.h and concealed.h.
  */
 #include <float.h>  /* DBL_MAX */

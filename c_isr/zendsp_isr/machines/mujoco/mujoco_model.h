@@ -5,7 +5,7 @@
 
 #include <math.h>   /* fabs, fmax, fmin, fmod, pow, sqrt */
 #include <stdio.h>  /* snprintf */
-#include <string.h> /* memcpy, strtok */
+#include <string.h> /* memcpy, strsep, strtok */
 
 #include <mujoco/mujoco.h>
 
@@ -333,6 +333,19 @@ static double joint_torque(const mjModel *m, int joint) {
     return most > 0.0 && own > 0.0 ? fmin(most, own) : most > 0.0 ? most : own;
 }
 
+/* The speed that a URDF limits a joint to, which MuJoCo does not read: `speeds` has names and
+ * numbers, parted by tabs. */
+static double speed_stated(const char *config, const char *name, double otherwise) {
+    char stated[4096];
+    if (machine_config_text(config, "speeds", stated, sizeof stated) != 0)
+        return otherwise;
+    for (char *rest = stated, *one, *speed;
+         (one = strsep(&rest, "\t")) && (speed = strsep(&rest, "\t"));)
+        if (strcmp(one, name) == 0)
+            return strtod(speed, NULL);
+    return otherwise;
+}
+
 static void describe_joint(robot *r, int j, const char *config, const look *seen) {
     mjModel *m = r->model;
     const int joint = r->joint[j], actuator = actuator_of(m, joint),
@@ -352,10 +365,12 @@ static void describe_joint(robot *r, int j, const char *config, const look *seen
     if (torque <= 0.0)
         torque = r->fits[j];
     torque = machine_config_double(config, "torque_max", torque);
-    const double speed = machine_config_double(config, "speed_max",
-                                               slide   ? 2.0
-                                               : range ? two_pi
-                                                       : 50.0);
+    const double speed = machine_config_double(
+        config, "speed_max",
+        speed_stated(config, name_of(m, m->name_jntadr[joint], text),
+                     slide   ? 2.0
+                     : range ? two_pi
+                             : 50.0));
     const double counts =
         machine_config_double(config, "counts", slide ? metre_counts : turn_counts);
     const int passive = actuator < 0 && m->nactuator > 0; /* an encoder without a motor */

@@ -86,7 +86,7 @@ def make_signal(
         )
     if quantity != "torque":
         raise ReferenceError_(f'quantity is "{quantity}"; expected "position" or "torque"')
-    if machine.kind == "dh":
+    if machine.kind in ("dh", "tree"):
         raise ReferenceError_(
             f"an open-loop torque lets {machine.name} fall under its own weight: plan a position"
             " instead"

@@ -15,7 +15,7 @@ import weakref
 from pathlib import Path
 from typing import Any
 
-from zendsp_isr.parts import build_machine, build_runner, is_model, with_remedy
+from zendsp_isr.parts import build_machine, build_runner, is_model, stated_speeds, with_remedy
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied, ZendspError
 from zendsp_protocol.states import Clock
@@ -63,6 +63,7 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path, number: i
     given = dict(settings.machine_config) | {"load": str(number)}
     if is_model(settings.machine):
         given |= {"model": os.path.abspath(settings.machine), "clock": settings.clock}
+        given |= {"speeds": speeds} if (speeds := stated_speeds(settings.machine)) else {}
     config = "".join(f"{key} = {value}\n" for key, value in given.items())
     for name, text in (
         ("data_path", str(data)),
