@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from arms.cases import GROUPS, make
 from arms.told import is_right, is_true, kind, numbers_off
 
 
@@ -49,12 +48,16 @@ def main() -> None:
     """Make, ask, and print."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=_AsItIs)
     options.add_argument("folder", type=Path)
-    options.add_argument("--group", choices=GROUPS, default="forms")
+    options.add_argument("--group", choices=("forms", "bodies", "rough"), default="forms")
     options.add_argument("--only", default="", help="names of arms, parted by commas")
     options.add_argument("--form", choices=("urdf", "mjcf", "fmu"), action="append")
     options.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="of the FMU")
     options.add_argument("--seed", type=int, default=0, help="of other arms with the same truths")
     asked = options.parse_args()
+    try:  # behind the options: --help needs none of the packages that make an arm
+        from arms.cases import GROUPS, make
+    except ModuleNotFoundError as lacks:
+        raise SystemExit(f"{lacks.name} is missing: pip install 'zendsp[mujoco,fmpy]' pin") from lacks
     names = [n for n in GROUPS[asked.group] if not asked.only or n in asked.only.split(",")]
     forms = [
         "fmu3" if form == "fmu" and asked.fmi == 3 else form

@@ -73,7 +73,7 @@ def gather(source: Source) -> dict[str, str]:
     Parameters
     ----------
     source : path, or mapping of file name to text
-        A path as in :func:`find_program`; a mapping is taken as it is.
+        A path as in :func:`find_program`; to a mapping only shipped headers are added.
 
     Raises
     ------
@@ -86,7 +86,13 @@ def gather(source: Source) -> dict[str, str]:
     ['pd.c']
     """
     if isinstance(source, Mapping):
-        return dict(source)
+        lacking = {n for text in source.values() for n in _INCLUDE.findall(text)} - set(source)
+        shipped = {name: found for name in sorted(lacking) if (found := _shipped_header(name))}
+        return {**source, **{n: file.read_text(encoding="utf-8") for n, file in shipped.items()}}
+    if "\n" in str(source):
+        raise CompileFailed(
+            'the text of a program where a path is expected: give {"mine.c": text}, by its name'
+        )
     path = find_program(source)
     sources: dict[str, str] = {}
     waiting = [path]

@@ -133,6 +133,14 @@ def test_a_shipped_header_comes_along_with_a_program_of_another_folder(tmp_path:
     (tmp_path / "motion.h").write_text("/* mine */")
     assert gather(tmp_path / "mine.c")["motion.h"] == "/* mine */"
     assert set(gather(tmp_path / "mine.c")) == {"mine.c", "motion.h"}
+    assert gather({"mine.c": text}) == {"mine.c": text, "motion.h": shipped}
+    both = {"mine.c": text, "motion.h": "/* mine */"}
+    assert gather(both) == both
+
+
+def test_the_text_of_a_program_is_not_taken_for_its_path() -> None:
+    with pytest.raises(CompileFailed, match="text of a program where a path is expected"):
+        gather('#include "isr.h"\nvoid UserInit(void) {}\n')
 
 
 @pytest.mark.parametrize(
