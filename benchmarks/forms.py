@@ -57,7 +57,8 @@ def main() -> None:
     try:  # behind the options: --help needs none of the packages that make an arm
         from arms.cases import GROUPS, make
     except ModuleNotFoundError as lacks:
-        raise SystemExit(f"{lacks.name} is missing: pip install 'zendsp[mujoco,fmpy]' pin") from lacks
+        what = f"{lacks.name} is missing: pip install 'zendsp[mujoco,fmpy]' pin"
+        raise SystemExit(what) from lacks
     names = [n for n in GROUPS[asked.group] if not asked.only or n in asked.only.split(",")]
     forms = [
         "fmu3" if form == "fmu" and asked.fmi == 3 else form

@@ -87,8 +87,8 @@ def gather(source: Source) -> dict[str, str]:
     """
     if isinstance(source, Mapping):
         lacking = {n for text in source.values() for n in _INCLUDE.findall(text)} - set(source)
-        shipped = {name: found for name in sorted(lacking) if (found := _shipped_header(name))}
-        return {**source, **{n: file.read_text(encoding="utf-8") for n, file in shipped.items()}}
+        headers = {name: _shipped_header(name) for name in sorted(lacking)}
+        return {**source, **{n: h.read_text(encoding="utf-8") for n, h in headers.items() if h}}
     if "\n" in str(source):
         raise CompileFailed(
             'the text of a program where a path is expected: give {"mine.c": text}, by its name'

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from zendsp.diagnosis import diagnose
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
 from zendsp.recording.formats import csv
@@ -255,3 +256,59 @@ def test_the_time_of_rostopic_is_in_nanoseconds(tmp_path: Path) -> None:
         assert table.units[name] == "s"
     path.write_text(f"%time,q,u\n{body}")  # of another program: nothing is known
     assert read_table(path).units["time"] == ""
+
+
+@pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        ("t,q", "{t},{q}"),
+        ("t;q", "{t};{q}"),
+        ("t q", "{t} {q}"),
+        ("day,q", "01.02.2026 00:00:{t:09.6f},{q}"),  # one by one: no share is told
+    ],
+)
+def test_a_long_text_is_read_in_pieces_to_the_same_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, head: str, row: str
+) -> None:
+    file = tmp_path / "long.csv"
+    lines = [row.format(t=0.1 * k, q=(-1.0) ** k / (k + 1)) for k in range(300)]
+    file.write_text("\n".join([head, *lines, "", ""]))
+    at_once = read_table(file)
+    monkeypatch.setattr(csv, "READ", 100)
+    shares: list[float] = []
+    in_pieces = read_table(file, progress=shares.append)
+    for name, values in at_once.columns.items():
+        assert len(values) == 300 and np.array_equal(in_pieces[name], values)
+    assert shares == sorted(shares)
+    assert shares[-1:] == ([] if head.startswith("day") else [1.0]) and len(shares) != 1
+
+
+def test_a_short_line_far_down_in_a_long_text_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(csv, "READ", 100)
+    file = tmp_path / "long.csv"
+    lines = [f"{0.1 * k},{k}" for k in range(300)]
+    for wrong in ("29.9", "29.9,1,2", "29.9,x"):
+        file.write_text("\n".join(["t,q", *lines[:250], wrong, *lines[250:]]))
+        with pytest.raises(RecordingError, match="line 252"):
+            read_table(file)
+    whole_piece = [line.split(",")[0] for line in lines[200:]]  # pieces that differ in width
+    file.write_text("\n".join(["t,q", *lines[:200], *whole_piece]))
+    with pytest.raises(RecordingError, match="line 202"):
+        read_table(file)
+
+
+def test_a_diagnosis_tells_the_share_of_a_long_file_that_it_has_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(csv, "READ", 2000)
+    file = tmp_path / "still.csv"
+    file.write_text("\n".join(["t,q,u", *(f"{0.01 * k:.2f},1,0" for k in range(500))]))
+    model = {"sample_time": 0.01, "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}}
+    said: list[str] = []
+    with pytest.raises(RecordingError):
+        diagnose([file], model, progress=said.append)
+    assert said[0] == "reading the recordings"
+    shares = [one for one in said if one.startswith("reading still.csv: ")]
+    assert len(shares) > 1 and shares[-1] == "reading still.csv: 100%"

@@ -357,7 +357,11 @@ def _ready(
     notes on them.
     """
     tell(Step.READING.says("reading the recordings"))
-    fit_signals, held, notes = read_divided(recordings, heldout, given)
+
+    def told(file: str | Path, share: float) -> None:
+        tell(Step.READING.says(f"reading {Path(file).name}: {share:.0%}"))
+
+    fit_signals, held, notes = read_divided(recordings, heldout, given, told)
     _warn_of_length([*fit_signals, *held])
     choose_signals, test_signals, how = halves(held)
     tell(Step.READING.says("smoothing the motion"))

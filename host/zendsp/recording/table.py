@@ -10,7 +10,7 @@ from pathlib import Path
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
-from zendsp.recording.formats.raw import upright
+from zendsp.recording.formats.raw import Share, upright
 from zendsp.recording.names import (
     FloatArray,
     gather_vectors,
@@ -125,7 +125,9 @@ class Table:
         return len(next(iter(self.columns.values())))
 
 
-def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
+def read_table(
+    path: str | Path, columns: Sequence[str] | None = None, progress: Share | None = None
+) -> Table:
     """Read a table of numbers in SI units from a file of any of the kinds below, zendsp's own or
     foreign.
 
@@ -139,6 +141,8 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
         Its suffix says what it is; a folder is a bag of rosbag2.
     columns : sequence of str, optional
         Read and check these only; the others may then be of any length or kind.
+    progress : callable, optional
+        Takes the share that is read, from 0 to 1, of a CSV of more than 16 MB.
 
     Returns
     -------
@@ -162,7 +166,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     (array([1., 2.]), 'rad')
     """
     path = Path(path).expanduser()
-    raw = read_raw(path)
+    raw = read_raw(path, progress)
     if raw.metadata:
         body, *_ = checked(path, raw)
         time = body["extra"].get("time_column", "t")  # by which a model file knows it
@@ -173,8 +177,8 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     return _checked(path, raw, columns)
 
 
-def read_raw(path: Path) -> Raw:
-    """The contents of a file, read by its suffix, not yet interpreted."""
+def read_raw(path: Path, tell: Share | None = None) -> Raw:
+    """The contents of a file, read by its suffix, not yet interpreted; see `read_table`."""
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
     suffix = _suffix(path)
@@ -193,7 +197,7 @@ def read_raw(path: Path) -> Raw:
         )
     reader = import_module(f"zendsp.recording.formats.{READERS[suffix]}")
     try:
-        raw: Raw = reader.read(path)
+        raw: Raw = reader.read(path, tell) if READERS[suffix] == "csv" else reader.read(path)
     except RecordingError:
         raise
     except MemoryError as error:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +51,12 @@ from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 Source = str | Path | Recording | Table
+Told = Callable[[str | Path, float], None]
 
 
-def read_signals(source: Source, model: Model) -> Signals:
-    """The signals of a recording, read by the column names of a model.
+def read_signals(source: Source, model: Model, tell: Told | None = None) -> Signals:
+    """The signals of a recording, read by the column names of a model. ``tell`` takes the file and
+    the share of it that is read, where that takes a while.
 
     Raises
     ------
@@ -64,7 +68,8 @@ def read_signals(source: Source, model: Model) -> Signals:
         raise RecordingError(
             "the model's [columns] lacks 'position': which column holds the position?"
         )
-    source = read_table(source) if isinstance(source, str | Path) else source
+    if isinstance(source, str | Path):
+        source = read_table(source, progress=None if tell is None else partial(tell, source))
     name, get, done = getter(source)
     if model.kind in TREES:
         robot_path(model)  # without that file the number of joints is unknown

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.checks import check_signals
-from zendsp.diagnosis.data.reading import Source, read_signals
+from zendsp.diagnosis.data.reading import Source, Told, read_signals
 from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.data.series import stretches
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals, with_same_columns
@@ -35,19 +35,23 @@ AT_REST, REST_S = 0.002, 2.0
 
 
 def read_divided(
-    recordings: Sequence[Source], heldout: Sequence[Source], model: Model
+    recordings: Sequence[Source],
+    heldout: Sequence[Source],
+    model: Model,
+    tell: Told | None = None,
 ) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Recordings to fit to and held-out ones, read and checked; and notes.
+    """Recordings to fit to and held-out ones, read and checked; and notes. ``tell``: as of
+    ``read_signals``.
 
     Raises
     ------
     RecordingError
         None is given, one cannot be diagnosed, or one is both to fit to and held out.
     """
-    signals = [read_signals(source, model) for source in recordings]
+    signals = [read_signals(source, model, tell) for source in recordings]
     if not signals:
         raise RecordingError("no recording given")
-    held = [read_signals(source, model) for source in heldout]
+    held = [read_signals(source, model, tell) for source in heldout]
     _refuse_twice(signals, held)
     begin = min(float(s.time[0]) for s in (*signals, *held))
     signals, held = ([replace(s, origin=begin) for s in each] for each in (signals, held))

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zendsp.errors import RecordingError
-from zendsp.recording.formats.raw import Raw, check_room
+from zendsp.recording.formats.raw import Raw, Share, check_room
 from zendsp.recording.names import FloatArray, split_quotients, split_unit
 from zendsp.recording.units import to_si
 from zendsp_protocol.texts import counted
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 MARK = "# zendsp "
 PIECE = 1 << 26  # bytes that are unpacked at a time
+READ = 1 << 24  # characters that become numbers at a time
 TITLE = "# A recording of zendsp"
 THOUSANDS = re.compile(r"(?<!\d)[1-9]\d{0,2}(\.\d{3})+,\d")  # 1.234,5: nothing else is written so
 NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
@@ -83,8 +84,10 @@ def _title(recording: Recording) -> str:
     return f"{TITLE}{made}: {what}. Parameters and source: last line."
 
 
-def read(path: Path) -> Raw:
-    """Read any CSV whose first line that is not a comment names the columns."""
+def read(path: Path, tell: Share | None = None) -> Raw:
+    """Read any CSV whose first line that is not a comment names the columns. ``tell`` takes the
+    share that is read, where that is not done at once.
+    """
     body, metadata = _apart(_text(path))
     first_line, ours, above = 1, False, ""
     while body.startswith(("#", "\n")):
@@ -117,7 +120,8 @@ def read(path: Path) -> Raw:
     if said := _unit_row(rows.partition("\n")[0], delimiter, len(names)):
         units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
         rows, first_line = rows.partition("\n")[2], first_line + 1
-    return _stamped(_numbers(path, rows, Raw({}, units, {}, metadata), delimiter, first_line + 1))
+    raw = Raw({}, units, {}, metadata)
+    return _stamped(_numbers(path, rows, raw, delimiter, first_line + 1, tell))
 
 
 def _names(comment: str, line: str) -> bool:
@@ -240,29 +244,53 @@ def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
     return ["" if cell in ("-", "1") else cell for cell in cells]
 
 
-def _numbers(path: Path, rows: str, raw: Raw, delimiter: str, first_line: int) -> Raw:
+def _numbers(
+    path: Path, rows: str, raw: Raw, delimiter: str, first_line: int, tell: Share | None
+) -> Raw:
     """The columns of the file whose names are the keys of ``raw.units``."""
     names = list(raw.units)
-    rows = DAY_FIRST.sub(lambda d: f"{d[3]}-{int(d[2]):02}-{int(d[1]):02}", rows)
-    decimal = _decimal(rows[:4096], delimiter)
+    decimal = _decimal(_year_first(rows[:4096]), delimiter)
     if not rows.strip():
         raise RecordingError(f"{path}: has column names but no rows")
-    text = _pointed(rows) if decimal == "," else rows
+    text = _pointed(_year_first(rows)) if decimal == "," else rows
     try:
-        table = np.loadtxt(
-            io.StringIO(text), delimiter=delimiter, comments=None, quotechar='"', ndmin=2
-        )
+        table = _table(text, delimiter, tell)
         if table.shape[1] != len(names):
             raise ValueError(
                 f"{counted(table.shape[1], 'column')} where the header names {len(names)}"
             )
     except ValueError as error:  # empty cells, words for NaN, dates and text are read one by one
+        rows = _year_first(rows)
+        text = text if decimal == "," else rows
         try:
             return _with_words(text, raw, delimiter)
         except ValueError:
             raise _first_fault(path, rows, names, delimiter, decimal, first_line, error) from error
     columns = {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(names)}
     return replace(raw, columns=columns)
+
+
+def _year_first(rows: str) -> str:
+    """The rows with dates as ISO 8601 has them."""
+    return DAY_FIRST.sub(lambda d: f"{d[3]}-{int(d[2]):02}-{int(d[1]):02}", rows)
+
+
+def _table(text: str, delimiter: str, tell: Share | None) -> FloatArray:
+    """The numbers of all lines, read in pieces of whole lines; ValueError where any is none."""
+    pieces, at = [], 0
+    piece = len(text) if '"' in text else READ  # a quoted cell may hold a line's end
+    while at < len(text):
+        end = text.find("\n", at + piece) + 1 or len(text)
+        if lines := text[at:end].strip("\n"):
+            pieces.append(
+                np.loadtxt(
+                    io.StringIO(lines), delimiter=delimiter, comments=None, quotechar='"', ndmin=2
+                )
+            )
+        at = end
+        if tell is not None and len(text) > READ:
+            tell(at / len(text))
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
 def _decimal(rows: str, delimiter: str) -> str:

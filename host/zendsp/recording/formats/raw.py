@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from zendsp.errors import RecordingError
 from zendsp.recording.names import FloatArray
 
 MEMORY = Path("/proc/meminfo")
+Share = Callable[[float], None]  # takes the share of a file that is read, up to 1
 SHARE = 0.5  # of the free memory that one file may take: what is made of it takes as much again
 
 
