@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from waiting import freeze, until
 
-from zendsp.errors import AcquisitionError, Refused
+from zendsp.errors import AcquisitionError, Refused, VariableError
 from zendsp.link import Target
 from zendsp.link.transfer import Rows
 from zendsp_protocol import codec, keys
@@ -117,3 +117,10 @@ def test_a_recording_says_how_many_samples_were_late_in_it_and_by_how_much(
     found = re.search(r" 0 lost, (\d+) samples? late, by up to (\d+) ms$", said.strip())
     assert status == 0 and found, said
     assert int(found[1]) >= 200 and int(found[2]) >= 390, said  # 400 samples, some caught up with
+
+
+def test_what_is_uploaded_to_no_table_is_told_where_it_belongs(running: Target) -> None:
+    with pytest.raises(VariableError, match=r'Kp1: is one number, no table: target\["Kp1"\] = '):
+        running.upload("Kp1", [1.0, 2.0])
+    with pytest.raises(VariableError, match="reff: no such variable.*did you mean ref"):
+        running.upload("reff", np.zeros((3, 2)))

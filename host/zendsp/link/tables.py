@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from zendsp.errors import VariableError
+from zendsp.errors import VariableError, did_you_mean
 from zendsp.link.requests import PATIENCE_S, Part
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, crc, spans
@@ -61,7 +61,11 @@ class Tables(Part):
         """
         infos = {info.name: info for info in self.request("variables")}
         if name not in infos:
-            raise VariableError(f"{name}: no such variable in the running code")
+            arrays = [info.name for info in infos.values() if info.length > 1]
+            which = did_you_mean(name, arrays) if arrays else "it has no table and no array"
+            raise VariableError(f"{name}: no such variable in the running code; {which}")
+        if infos[name].length == 1:
+            raise VariableError(f'{name}: is one number, no table: target["{name}"] = … writes it')
         dtype = _DTYPES[infos[name].type]
         if np.asarray(values).dtype.kind == "b" and dtype != "|b1":
             raise VariableError(
