@@ -122,5 +122,5 @@ def test_a_recording_says_how_many_samples_were_late_in_it_and_by_how_much(
 def test_what_is_uploaded_to_no_table_is_told_where_it_belongs(running: Target) -> None:
     with pytest.raises(VariableError, match=r'Kp1: is one number, no table: target\["Kp1"\] = '):
         running.upload("Kp1", [1.0, 2.0])
-    with pytest.raises(VariableError, match="reff: no such variable.*did you mean ref"):
+    with pytest.raises(VariableError, match=r"reff: no such variable.*did you mean ref"):
         running.upload("reff", np.zeros((3, 2)))
