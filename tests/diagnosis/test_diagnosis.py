@@ -217,7 +217,9 @@ def test_what_no_effect_describes_is_unexplained(run: Run) -> None:
     assert d.next_recording is not None and d.next_recording.reference is not None
     motion, period = d.next_recording.reference
     assert motion.shape == (round(10.0 / period), 1), "can be played, as `n` and --run do"
-    assert "as a multisine over the whole range does (10 s, " in d.next_recording.sentence
+    sentence = d.next_recording.sentence
+    assert "as a multisine over the recorded range does (10 s, " in sentence
+    assert "farther or faster than it did" in sentence, "the motion goes no farther itself"
 
 
 def test_a_torque_that_nothing_predicts_is_reported(run: Run) -> None:

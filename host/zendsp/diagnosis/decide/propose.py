@@ -35,7 +35,8 @@ SECONDS = 10.0
 ROUND_S = 0.1
 WEAK = 0.8  # confidence below which a finding is to be confirmed
 COUNTS = 8  # of the sensor: least range of a proposed motion
-OTHER = "a multisine over the whole range"  # where no rival is known
+OTHER = "a multisine over the recorded range"  # where no rival is known
+FARTHER = " Where the machine may go farther or faster than it did, that tells more."
 LINES = (24, 16, 10, 6, 4, 2)  # of the multisine, 0.1 Hz apart
 BOTH_SIDES = 1.6  # times the reach to one
 SEPARATES = 20.0  # least deviance by which a motion separates two hypotheses
@@ -78,7 +79,7 @@ def motions(
         wave: Array = (np.cos(2 * np.pi * 0.1 * np.outer(t + ahead, k) + phase) / k).sum(axis=1)
         return wave
 
-    # as many lines as the speed limit allows over the whole range
+    # as many lines as the speed allows over the whole reach
     multisine = next(
         (
             wave
@@ -96,10 +97,10 @@ def motions(
     return {
         OTHER: limited(multisine, reach, 1.2 * top),
         "a slow multisine with many reversals": limited(np.asarray(slow), 0.6 * reach, 0.25 * top),
-        "slow triangles over the whole range": limited(triangle, reach, 0.3 * top),
+        "slow triangles over the recorded range": limited(triangle, reach, 0.3 * top),
         "small slow reversals": limited(np.sin(2 * np.pi * 0.5 * t), 0.05 * reach, 0.05 * top),
         "a chirp from 0.1 to 4 Hz": limited(chirp, 0.5 * reach, 1.2 * top),
-        "slow and fast sines over the whole range": limited(two_speeds, reach, 1.2 * top),
+        "slow and fast sines over the recorded range": limited(two_speeds, reach, 1.2 * top),
     }
 
 
@@ -227,7 +228,7 @@ def _without_rival(
             " unexplained, and these recordings would not show it."
         )
         what = "Of the torque without a law, record" if lawless else "Record"
-        return _played(signals, given, motion, f"{what} {listed(moved)} {why}")
+        return _played(signals, given, motion, f"{what} {listed(moved)} {why}{FARTHER}")
     weak = [
         f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
     ]
