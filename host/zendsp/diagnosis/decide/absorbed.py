@@ -175,7 +175,8 @@ def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
 
 def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
     """The payload that explains both, where inertia and weight have grown. It is as uncertain as
-    the given numbers that it is measured from.
+    the given numbers that it is measured from; one that may be next to nothing, or anywhere, is not
+    stated.
     """
     if not all(key in moves and moves[key][1] > NEAR for key in BOTH):
         return ""
@@ -185,6 +186,8 @@ def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
         grown.append(Estimate(amount, math.hypot(std, TOLERANCE * amount / ratio), unit))
     inertia, weight = grown
     body = point_of(inertia, weight)
+    if any(known.value < FAR * known.std for known in body.values()):
+        return ""
     mass, reach = (number(body[key]) for key in ("mass", "com_x"))
     return f" A payload of {mass} at {reach} from the axis would do both."
 
