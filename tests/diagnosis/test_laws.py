@@ -431,3 +431,23 @@ def test_a_payload_that_may_be_nothing_or_anywhere_is_not_stated() -> None:
 
     assert said(0.12).startswith(" A payload of 0.200 ± 0.055 kg at 0.501 ± 0.088 m from the axis")
     assert said(0.15) == ""
+
+
+def test_a_load_that_calibration_takes_up_on_a_planar_arm_is_told_by_its_mass_and_place() -> None:
+    """Concealed on the shipped arm 3.386 kg at 0.2954 m were 151 % of p2 and 148 % of p3, and no
+    finding.
+    """
+    numbers = {"p1": 3.473, "p2": 0.196, "p3": 0.242, "l1": 0.36, "l2": 0.34}
+    given = parse_model({"mechanism": {"kind": "planar2r", "parameters": numbers}})
+
+    def note(mass: float, at: float) -> str:
+        more = {"p2": mass * at**2, "p3": mass * 0.36 * at, "p1": mass * (0.36**2 + at**2)}
+        now = {k: (Quantity(given.mechanism[k][0].value + x),) for k, x in more.items()}
+        notes = absorbed.moved(given, replace(given, mechanism={**given.mechanism, **now}))
+        return "".join(notes)
+
+    told = note(3.386, 0.2954)
+    assert "p2 0.196 to 0.4915 (+151 %)" in told
+    assert "3.39 ± 0.23 kg at 0.295 ± 0.013 m along link 2 would do that" in told
+    assert "kg at" not in note(0.3, 0.25), "it may be a third of that, or three times as much"
+    assert "kg at" not in note(-0.5, 0.25), "what is too light carries nothing"

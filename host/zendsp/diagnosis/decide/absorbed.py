@@ -8,7 +8,7 @@ where all of them have moved by one factor, it is named with them.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -226,8 +226,31 @@ def moved(given: Model, calibrated: Model) -> list[str]:
                     "; where only its own acceleration shows it, a link or a payload of another"
                     " mass is the same"
                 )
-            out.append(text)
+            out.append(text + _along_link(given, far))
     return out
+
+
+def _along_link(given: Model, far: Sequence[_Number]) -> str:
+    """The point on link 2 of a planar arm whose mass moved its p2 and p3, where both have grown: it
+    adds m x² to the one and m l1 x to the other. As uncertain as the given numbers.
+    """
+    grown = {n.key: n for n in far if not n.effect and n.new.value > n.given.value}
+    if given.kind != "planar2r" or not {"p2", "p3"} <= set(grown):
+        return ""
+    length = given.mechanism["l1"][0].value
+    inertia, weight = (
+        Estimate(
+            (n.new.value - n.given.value) * times,
+            math.hypot(max(TOLERANCE * n.given.value, n.given.std), n.new.std) * times,
+            unit,
+        )
+        for n, times, unit in ((grown["p2"], 1.0, "kg m²"), (grown["p3"], G / length, "N m"))
+    )
+    body = point_of(inertia, weight)
+    if any(known.value < FAR * known.std for known in body.values()):
+        return ""
+    mass, reach = (number(body[key]) for key in ("mass", "com_x"))
+    return f"; {mass} at {reach} along link 2 would do that to p2 and p3"
 
 
 def friction_moved(given: Model, calibrated: Model, joint: int) -> bool:
