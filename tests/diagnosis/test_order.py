@@ -19,6 +19,7 @@ from zendsp.diagnosis.data.order import check_order
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.errors import RecordingError
+from zendsp.physics.calibration.joint import JointRecord
 
 Columns = dict[str, np.ndarray]
 
@@ -144,3 +145,24 @@ def test_the_columns_of_a_plane_arm_are_checked_too(
         return
     with pytest.raises(RecordingError, match=re.escape(words)):
         check_order("run", data.records[0], model)
+
+
+def test_no_order_is_accused_by_a_part_where_a_longer_part_shows_it_right(tmp_path: Path) -> None:
+    """The last third of a second of a circle of the shipped arm was taken for one with its joints
+    exchanged, and the recording refused.
+    """
+    model, c = plane_model(), two_links()
+
+    def part(name: str, rows: slice, exchanged: bool) -> list[JointRecord]:
+        q, u = (c[key][rows, ::-1] if exchanged else c[key][rows] for key in "qu")
+        np.savez(tmp_path / name, t=c["t"][rows], q=q, u=u)
+        read = read_signals(tmp_path / f"{name}.npz", model)
+        return list(prepare([read], model, 64.0).records[0])
+
+    short, right = part("short", slice(2500, 4000), True), part("long", slice(0, 2500), False)
+    check_order("run", short, model, [right])
+    for beside in ([], [part("wrong", slice(0, 2500), True)]):
+        with pytest.raises(RecordingError, match="exchanged"):
+            check_order("run", short, model, beside)
+    with pytest.raises(RecordingError, match="exchanged"):
+        check_order("run", part("most", slice(0, 3500), True), model, [right])

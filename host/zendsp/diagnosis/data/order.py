@@ -34,17 +34,48 @@ AS_WELL = 1.01  # times what another mistake leaves, undone
 COMPARED = 200  # rows of a recording, or a few more: enough for these parts of the energy
 
 
-def check_order(where: str, records: Sequence[JointRecord], model: Model) -> None:
+def check_order(
+    where: str,
+    records: Sequence[JointRecord],
+    model: Model,
+    beside: Sequence[Sequence[JointRecord]] = (),
+) -> None:
     """Refuse columns that agree with an arm's model only in another order, sign or zero.
+
+    Parameters
+    ----------
+    beside : sequence of sequence of JointRecord
+        Other parts of the recording: the longest shows the same mistake, if it is longer. In a
+        third of a second, in one direction, a rigid body with friction is like another one.
 
     Raises
     ------
     RecordingError
         Names the mistake that, undone, makes them agree.
     """
-    known = model.kind in (*TREES, "planar2r") and len(records) > 1
-    if not known or not all(np.ptp(r.command) for r in records):
+    if not (model.kind in (*TREES, "planar2r") and len(records) > 1):
         return
+    before, found = _amiss(records, model)
+    if not found:
+        return
+    longest = max(beside, key=lambda part: part[0].n, default=records)
+    if longest[0].n > records[0].n:
+        there = _amiss(longest, model)[1]
+        found = {words: left for words, left in found.items() if words in there}
+    if found:
+        raise RecordingError(
+            f"{where}: {', or '.join(found)}: the model leaves {100 * min(before, 1.0) ** 0.5:.0f}"
+            f" % of the joints' torques, and {100 * min(found.values()) ** 0.5:.2g} % once that is"
+            " undone"
+        )
+
+
+def _amiss(records: Sequence[JointRecord], model: Model) -> tuple[float, dict[str, float]]:
+    """What the model leaves of the torques' energy; and by their words the mistakes that, undone,
+    leave next to nothing of that, with what is left then.
+    """
+    if not all(np.ptp(r.command) for r in records):
+        return 0.0, {}
     gain = np.array([per_joint(model.actuator.gain, r.joint, 1.0) for r in records])
     slow = look(
         np.stack([r.position for r in records]),
@@ -57,7 +88,7 @@ def check_order(where: str, records: Sequence[JointRecord], model: Model) -> Non
     slow = replace(slow, q=q, qd=qd, qdd=qdd, command=command)
     before = _left(slow, rigid_body(slow, model))
     if before < AMISS_BY:
-        return
+        return before, {}
     mistakes = list(_mistakes(slow, model))
     bodies = _rigid_bodies([undone for _, undone, _ in mistakes], model)
     tried = [
@@ -65,13 +96,10 @@ def check_order(where: str, records: Sequence[JointRecord], model: Model) -> Non
         for (words, undone, weight), body in zip(mistakes, bodies, strict=True)
     ]
     after = min(left for left, _ in tried)
+    if after >= UNDONE * min(before, 1.0):
+        return before, {}
     # a plane arm without gravity is the same with either joint mirrored
-    words = ", or ".join(words for left, words in tried if left < AS_WELL * after)
-    if after < UNDONE * min(before, 1.0):
-        raise RecordingError(
-            f"{where}: {words}: the model leaves {100 * min(before, 1.0) ** 0.5:.0f} % of the"
-            f" joints' torques, and {100 * after**0.5:.2g} % once that is undone"
-        )
+    return before, {words: left for left, words in tried if left < AS_WELL * after}
 
 
 def _mistakes(slow: Slow, model: Model) -> Iterator[tuple[str, Slow, float]]:

@@ -121,7 +121,7 @@ def check_driven(
         With the likeliest mistake.
     """
     whole = where[0].removesuffix(": joint 1")
-    check_order(whole, records, model)
+    check_order(whole, records, model, beside)
     here = _looked(records, model)
     agreeing = _agreeing(here.found)
     slopes = [
