@@ -8,19 +8,24 @@ from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
 
 
-def two_links(start: float = 0.0) -> dict[str, np.ndarray]:
+def two_links(
+    start: float = 0.0, load: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, np.ndarray]:
     """An arm with p1, p2, p3 = 0.4, 0.09, 0.075 kg m² along a multisine, with dry friction; from a
-    time on, s.
+    time on, s. Along its second link it carries a ``load``, kg, at a distance, m, from joint 2.
     """
+    mass, reach = load
+    p2, p3 = 0.09 + mass * reach**2, 0.075 + mass * 0.3 * reach
+    p1 = 0.4 + mass * (0.3**2 + reach**2)
     t = np.arange(0.0, 8.0, 0.002)
     f, phase = np.array([[0.3, 0.7, 1.1], [0.4, 0.9, 1.3]]), np.array([[0, 1, 2], [2, 0, 1]])
     w = 2 * np.pi * f[:, :, None]
     turn = w * (t + start) + phase[:, :, None]
     q, v = 0.3 * np.sin(turn).sum(1), 0.3 * (w * np.cos(turn)).sum(1)
     a = -0.3 * (w**2 * np.sin(turn)).sum(1)
-    c, s = 0.075 * np.cos(q[1]), 0.075 * np.sin(q[1])
-    u1 = (0.4 + 2 * c) * a[0] + (0.09 + c) * a[1] - s * (2 * v[0] + v[1]) * v[1]
-    u2 = (0.09 + c) * a[0] + 0.09 * a[1] + s * v[0] ** 2
+    c, s = p3 * np.cos(q[1]), p3 * np.sin(q[1])
+    u1 = (p1 + 2 * c) * a[0] + (p2 + c) * a[1] - s * (2 * v[0] + v[1]) * v[1]
+    u2 = (p2 + c) * a[0] + p2 * a[1] + s * v[0] ** 2
     u = np.stack([u1, u2]) + np.array([[0.25], [0.12]]) * np.tanh(v / 0.01)
     return {"t": t, "q": q.T, "u": u.T}
 

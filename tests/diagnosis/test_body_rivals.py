@@ -246,7 +246,7 @@ def test_a_body_is_refitted_with_the_gravity_of_its_joint_free_beside_a_spring_o
     found = FoundBody(Term("payload", 6, {}), "tool", first, (), (), frozenset({5}))
     claim = BodyClaim(found, {}, 1.0, 0.9)
     at: Any = [SimpleNamespace(joint=2, claims=[SimpleNamespace(mechanism=mechanism)])]
-    (settled,), _ = decide_bodies.settled(parts, [claim], planar(0.15), at, 1)
+    (settled,), _ = decide_bodies.settled(parts, planar(0.15), [claim], planar(0.15), at, 1)
     assert asked == [left_open]
     assert (settled.found.explained == "again") == (after <= 1.0)
 

@@ -255,7 +255,9 @@ def test_a_joint_that_is_predicted_to_the_last_digit_outweighs_no_other() -> Non
     both: Any = SimpleNamespace(
         grams=grams, whole=grams.sum(axis=1), counts=np.full((2, 8), 1e6), alike=1
     )
-    layout: Any = SimpleNamespace(joints=2, width=NUISANCE + 1, own=NUISANCE + 1)
+    layout: Any = SimpleNamespace(
+        joints=2, width=NUISANCE + 1, own=NUISANCE + 1, rotors=True
+    )
     body, nothing = np.zeros((2, NUISANCE + 1)), np.zeros((2, NUISANCE + 1))
     body[:, NUISANCE] = -1.0
     solver = Solver(both, both, layout, LIMITS)

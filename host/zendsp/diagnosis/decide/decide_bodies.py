@@ -227,8 +227,20 @@ def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
     return links.moves(joint - 1, found.term.joint - 1)
 
 
+def as_free_as(given: Model, model: Model) -> Model:
+    """A model of which those of the mechanism's numbers are free that are free in the given one."""
+    mechanism = {
+        key: tuple(
+            replace(q, free=was.free) for q, was in zip(items, given.mechanism[key], strict=True)
+        )
+        for key, items in model.mechanism.items()
+    }
+    return replace(model, mechanism=mechanism)
+
+
 def settled(
     parts: Parts,
+    given: Model,
     claims: Sequence[BodyClaim],
     improved: Model,
     decisions: Sequence[Decision],
@@ -252,7 +264,7 @@ def settled(
     for claim in claims:
         term = claim.found.term
         rest = improved.with_terms(tuple(t for t in improved.terms if t != term))
-        layout = Layout(rest, links)
+        layout = Layout(as_free_as(given, rest), links)
         # the test recordings must stay untouched
         again = (refined if parts.choose is parts.test else agreed)(
             parts.fit,

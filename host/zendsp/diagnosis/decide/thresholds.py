@@ -5,6 +5,8 @@ The measurements behind them: docs/measurements/diagnosis_choices.md.
 
 from __future__ import annotations
 
+from zendsp.diagnosis.search.body_hypotheses import LIMITS
+
 # share of the claims that may be false: e-values over all joints and mechanisms
 FALSE_DISCOVERIES = 0.05
 LAW_ERROR = 0.03  # of its size: no law describes its mechanism better
@@ -114,7 +116,7 @@ STATED_ALONE = 0.5
 UNLIKELY = 1 / 3
 
 # Relative standard deviation of a given inertia, mass or gravity; more where its std says so.
-TOLERANCE = 0.045
+TOLERANCE = LIMITS.stated
 # Times TOLERANCE: the model's own dry friction is surely not as stated with a number so far off. A
 # hysteresis of 11 % of the torque moved Coulomb friction by 47 %, one of 3 % by 7 %.
 OTHER_NUMBERS = 3.0

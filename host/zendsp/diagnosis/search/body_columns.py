@@ -256,6 +256,7 @@ class Layout:
         self.given = np.array([model.mechanism[key][0].value for key in self.keys])
         self.given_std = np.array([model.mechanism[key][0].std for key in self.keys])
         self.joints = len(links.bodies)
+        self.rotors = model.kind != "planar2r"  # of which p1 and p2 are the motors' inertia, too
         self.tilt = NUISANCE + 10 * self.joints
         self.scale = self.tilt + 2
         self.zero = self.scale + 1

@@ -56,6 +56,7 @@ class BodyLimits:
     step: float = 1e-6  # relative, of numerical derivatives
     # of a free parameter of the mechanism: a larger change is no calibration
     calibrated: float = 0.15
+    stated: float = 0.045  # relative standard deviation of such a parameter that states none
     far: float = 3.0  # standard deviations that the model states, likewise
     rounds: int = 3  # of estimating again around the estimate before
     moves: float = 0.3  # standard deviations: an estimate that moves less has converged

@@ -98,7 +98,8 @@ def _known_to(solver: Solver, first: Explained, values: Array, apart: float) -> 
     """An explanation with numbers and how well they are known."""
     by_gain = _by_gain(solver, first.hypothesis, values, apart)
     by_inertia = _by_inertia(solver, first.hypothesis, values, apart)
-    beside = np.hypot(by_gain, by_inertia)
+    by_given = _by_given(solver, first.hypothesis, values)
+    beside = np.hypot(np.hypot(by_gain, by_inertia), by_given)
     std = np.hypot(apart * solver.std(first.hypothesis, values), beside)
     return replace(
         first, values=values, std=std, of_gain=np.abs(by_gain), of_inertia=np.abs(by_inertia)
@@ -182,6 +183,18 @@ def _by_inertia(solver: Solver, h: Hypothesis, values: Array, apart: float) -> A
     by = seen * ball / max(float(np.hypot(seen, ball)), 1e-300)
     shift = solver.beside(both, np.append(values, by), point).estimate(h, values) - values
     return np.asarray(shift) if solver.plausible(h, values + shift) else np.zeros(len(values))
+
+
+def _by_given(solver: Solver, h: Hypothesis, values: Array) -> Array:
+    """The standard deviation of the numbers because the mechanism's own are known no better than
+    the model states, or than such numbers usually are. They are held while bodies are looked for.
+    """
+    layout = solver.layout
+    own = Hypothesis("calibration", free=tuple(layout.keys))
+    usual = solver.limits.stated * np.abs(layout.given)
+    off = np.diag(np.where(layout.given_std > 0.0, layout.given_std, usual))
+    shifts = [solver.beside(own, by, np.zeros(len(by))).estimate(h, values) - values for by in off]
+    return np.sqrt(np.sum(np.square(shifts), axis=0)) if shifts else np.zeros(len(values))
 
 
 def gain_known(model: Model, limits: BodyLimits = LIMITS) -> float:

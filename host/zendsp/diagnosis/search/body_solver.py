@@ -39,6 +39,7 @@ class Solver:
     ) -> None:
         self.fit, self.choose, self.layout, self.limits = fit, choose, layout, limits
         self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
+        rotors = rotors and layout.rotors
         self.aside, self.rotors = aside, rotors
         whole, n = fit.whole, NUISANCE
         free = list(range(n) if rotors else range(n - 1))  # the last column is the rotor's
