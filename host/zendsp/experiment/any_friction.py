@@ -28,7 +28,7 @@ from zendsp.experiment.gentle import (
 )
 from zendsp.experiment.knowing import refuse_none
 from zendsp.experiment.lab import Bench, Lab
-from zendsp.experiment.low_speed import ROWS
+from zendsp.experiment.low_speed import stride_of
 from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
 from zendsp.experiment.sliding import (
     MOVING,
@@ -116,9 +116,7 @@ def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: flo
             moves.append(way)
             at = float(way[-1])
     way = np.concatenate(moves)
-    stride = -(-len(way) // ROWS)  # slow moves have more samples than a table has rows
-    while round(1.0 / period) % stride:  # rows a second are a whole number
-        stride += 1
+    stride = stride_of(len(way) * period, period)
     q = np.tile(place, (len(way[::stride]), 1))
     q[:, number - 1] = way[::stride]
     return Reference(q, stride * period, kind="trapezoid", machine="")

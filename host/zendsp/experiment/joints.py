@@ -44,6 +44,10 @@ class Load:
         joint that turns has the latter two, one that slides has the first; both are exact.
     inertia_std, weight_std : float
         Of the inertia, and of the weight along the way; 0: a model's.
+    cos_std, sin_std : float
+        Of these two alone: beyond the way that was measured, the weight is less sure.
+    level_std, slope_std : float
+        Of the line of friction, by what inertia and weight may be off together.
     uneven : float
         Half of what friction differs by in the two directions, where it is told from the weight.
     """
@@ -55,6 +59,10 @@ class Load:
     inertia_std: float = 0.0
     weight_std: float = 0.0
     uneven: float = 0.0
+    cos_std: float = 0.0
+    sin_std: float = 0.0
+    level_std: float = 0.0
+    slope_std: float = 0.0
 
     def weight(self, q: Array) -> Array:
         """Torque that carries the weight at these positions."""
@@ -216,8 +224,9 @@ def load_of(rigid: Rigid, pose: Array, joint: int, slides: bool) -> Load:
 
     Examples
     --------
-    >>> load_of(lambda q, qd, qdd: 2.0 * qdd + np.sin(q), np.zeros(1), 1, False)
-    Load(inertia=2.0, flat=0.0, cos=0.0, sin=1.0, inertia_std=0.0, weight_std=0.0, uneven=0.0)
+    >>> load = load_of(lambda q, qd, qdd: 2.0 * qdd + np.sin(q), np.zeros(1), 1, False)
+    >>> load.inertia, load.flat, load.cos, load.sin
+    (2.0, 0.0, 0.0, 1.0)
     """
     q, push = np.tile(pose, (4, 1)), np.zeros((4, len(pose)))
     q[:3, joint - 1] = 0.0, 0.5 * np.pi, np.pi

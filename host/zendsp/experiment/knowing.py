@@ -162,8 +162,10 @@ def _load(low: Result, joint: int, said: float) -> Load:
     flat, cos, sin = weight_of(low, joint)
     inertia = found.value if found.value > 2.0 * found.std else said
     uneven = low.values[f"uneven{joint}"].value if f"uneven{joint}" in low.values else 0.0
-    std = max(flat.std, cos.std)
-    return Load(inertia, flat.value, cos.value, sin.value, found.std, std, uneven)
+    std = max(flat.std, low.values.get(f"weight{joint}_middle", cos).std)
+    return Load(
+        inertia, flat.value, cos.value, sin.value, found.std, std, uneven, cos.std, sin.std
+    )
 
 
 def weight_of(low: Result, joint: int) -> list[Estimate]:

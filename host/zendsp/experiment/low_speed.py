@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import Unmeasured
-from zendsp.experiment.estimates import NORMAL, half_width, smoothed
+from zendsp.experiment.estimates import NORMAL, least_squares, smoothed
 from zendsp.experiment.figures import AMBER, BLUE, label, make_figure, save
 from zendsp.experiment.gentle import gentle_first
 from zendsp.experiment.joints import Array, Axis, Known, Load
 from zendsp.experiment.knowing import PROGRAM, first_look, refuse_none, shipped, with_loads
 from zendsp.experiment.lab import Bench, Lab, playing
-from zendsp.experiment.moved import Moved, contradicting, measured_load
+from zendsp.experiment.moved import NO_CHANCE, Moved, contradicting, measured_load
 from zendsp.experiment.push import travel_time
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.watch import Seen, left_out, stood, widen
@@ -37,7 +37,9 @@ QUICKER = 2.5  # speed of the quick triangles over that of the slow ones
 QUICK = 4  # cycles of them
 LEAST, SURELY, PEAK = 0.05, 0.4, 0.95  # of the peak: speeds that the load is fitted to
 QUIET = 0.2  # of the acceleration, what the encoder's counts may add to it
+SETTLES = 0.08  # s, a quarter of a swing of joint_pd.c, after a jump of the acceleration
 FEWEST = 20  # points of the curve at which the joint slides
+PARTS = 20  # of the speed: each is one measurement of the line that friction ends in
 ROWS = 50000  # of a program's table, at most
 
 
@@ -153,7 +155,7 @@ def triangles(axis: Axis, known: Known, cycles: int, period: float) -> Triangles
     unknown = known.program == PROGRAM
     rise = axis.travel / axis.pace
     total = 4.0 * rise * (cycles + 1 + (QUICK / QUICKER if unknown else 0.0))
-    stride = max(1, int(np.ceil(total / period / ROWS)))
+    stride = stride_of(total, period)
     step = period * stride
     rows = round(rise / step)
     slow, quick = rows * step, max(1, round(rows / QUICKER)) * step
@@ -169,6 +171,17 @@ def triangles(axis: Axis, known: Known, cycles: int, period: float) -> Triangles
     qd[:, j], qdd[:, j] = motion[1:]
     reference = Reference(q, step, qd, qdd, kind="triangle", machine="")
     return Triangles(reference, 4 * rows, 4 * round(quick / step) if unknown else 0, stride)
+
+
+def stride_of(seconds: float, period: float) -> int:
+    """Samples a row of a motion that a program's table holds; rows a second are a whole number, as
+    programs play them.
+    """
+    rate = round(1.0 / period)
+    stride = max(1, int(np.ceil(seconds * rate / ROWS)))
+    while stride < rate and rate % stride:
+        stride += 1
+    return stride
 
 
 def friction_curve(rec: Recording, known: Known, axis: Axis, motion: Triangles) -> Curve:
@@ -201,8 +214,12 @@ def friction_curve(rec: Recording, known: Known, axis: Axis, motion: Triangles) 
     model: Load | None = None
     if known.program == PROGRAM:
         begun = cycles * motion.slow + motion.quick
+        plan = np.stack([motion.reference.qd[:, j], motion.reference.qdd[:, j]])
         parts = [
-            _part(q[rows_], tau[rows_, j], dt, (window, cycle // 4), known, axis.number)
+            _part(
+                q[rows_], tau[rows_, j], plan[:, rows_], dt, (window, cycle // 4), known,
+                axis.number,
+            )
             for rows_, cycle in (
                 (slow, motion.slow),
                 (slice(begun, begun + (QUICK - 1) * motion.quick), motion.quick),
@@ -230,8 +247,9 @@ def _moved(
     """
     if known.rigid is None:
         load = measured_load(parts, axis)
-        std = float(np.hypot(load.weight_std, load.most * away))
-        return replace(load, weight_std=std if load.weighs else load.weight_std), None
+        names = ("weight_std", "cos_std", "sin_std")
+        stds = {n: float(np.hypot(getattr(load, n), load.most * away)) for n in names}
+        return replace(load, **stds), None
     shown = contradicting(parts, axis)
     return (axis.load, None) if shown is None else (shown, axis.load)
 
@@ -262,27 +280,39 @@ def _window(axis: Axis, dt: float) -> int:
 
 
 def _part(
-    q: Array, tau: Array, dt: float, windows: tuple[int, int], known: Known, joint: int
+    q: Array, tau: Array, plan: Array, dt: float, windows: tuple[int, int], known: Known, joint: int
 ) -> Moved:
-    """Rows of a joint's motion, smoothed, that say what it moves: those that surely slide, and that
-    are not beside a jump of the acceleration. Of the torque it is what a model leaves, where there
-    is one. ``windows``: rows that are smoothed over, and of a rise to the peak.
+    """Rows of a joint's motion, smoothed, that say what it moves: those in which it is to slide
+    surely, and that are not beside a jump of the acceleration. Of the torque it is what a model
+    leaves, where there is one.
+
+    Rows are chosen by the plan, since those that noise chooses are not like the others.
+
+    Parameters
+    ----------
+    plan : ndarray
+        Planned speed and acceleration of the joint, one row each.
+    windows : tuple of int
+        Rows that are smoothed over, and of a rise to the peak.
     """
     window, rise = windows
     every_q, every_qd, every_qdd = (smoothed(q, window, dt, order) for order in range(3))
     j = joint - 1
-    qd, qdd = every_qd[:, j], every_qdd[:, j]
-    pace = np.abs(qd) / np.percentile(np.abs(qd), 99)
-    surely = (pace > SURELY) | ((qd * qdd < 0) & (pace > LEAST))
+    wanted, gains = plan
+    pace = np.abs(wanted) / np.abs(wanted).max()
+    surely = (pace > SURELY) | ((wanted * gains < 0) & (pace > LEAST))
     edge = np.arange(len(q))
-    rows = surely & (pace < min(PEAK, 1.0 - 0.6 * window / rise))
+    beside = max(0.6 * window, SETTLES / dt) / rise
+    rows = surely & (pace < min(PEAK, 1.0 - beside))
     rows &= (edge > window) & (edge < len(q) - window)
     every = np.flatnonzero(rows)[:: max(1, window // 4)]
     torque = smoothed(tau, window)[every]
     if known.rigid is not None:
         torque = torque - known.other(joint, every_q[every], every_qd[every], every_qdd[every])
-    return Moved(every_q[every, j], qd[every], qdd[every], torque,
-                 np.cumsum(np.abs(np.diff(rows, prepend=False)))[every])  # fmt: skip
+    stretch = np.cumsum(np.abs(np.diff(rows, prepend=False)))[every]
+    return Moved(
+        every_q[every, j], every_qd[every, j], every_qdd[every, j], torque, stretch, gains[every]
+    )
 
 
 def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
@@ -315,9 +345,17 @@ def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
         return
     inertia = "kg m^2" if unit == "rad" else "kg"
     result.values[f"inertia{j}"] = Estimate(load.inertia, load.inertia_std, inertia)
-    for name, value in (("", load.flat), ("_cos", load.cos), ("_sin", load.sin)):
-        if value or (name == "") == (unit == "m"):
-            result.values[f"weight{j}{name}"] = Estimate(value, load.weight_std, force)
+    turns = unit == "rad"
+    for name, value, std in (
+        ("", load.flat, load.weight_std),
+        ("_cos", load.cos, load.cos_std or load.weight_std),
+        ("_sin", load.sin, load.sin_std or load.weight_std),
+    ):
+        if value or (name != "") == turns:
+            result.values[f"weight{j}{name}"] = Estimate(value, std, force)
+    if turns:
+        middle = float(load.weight(np.array(axis.middle)))
+        result.values[f"weight{j}_middle"] = Estimate(middle, load.weight_std, force)
     if load.uneven:
         result.values[f"uneven{j}"] = Estimate(load.uneven, load.weight_std, force)
     _report_line(result, axis, curve)
@@ -337,26 +375,54 @@ def _report(result: Result, known: Known, axis: Axis, curve: Curve) -> None:
 
 def _report_line(result: Result, axis: Axis, curve: Curve) -> None:
     """The line that friction ends in, where it is no drive."""
-    j, force, v = axis.number, axis.force, curve.speed
-    sliding = curve.slid(axis)
-    up = np.sign(v[sliding])
-    A = np.stack([np.ones(len(up)), np.abs(v[sliding]), up], axis=1)
-    size = up * curve.friction[sliding]
-    solution = np.linalg.lstsq(A, size, rcond=None)[0]
-    left = size - A @ solution
-    # neighbouring points share their smoothing: each tenth of the speeds counts as one
-    scale = float(half_width(float(np.std(left)), 16) / NORMAL / 10**0.5)
-    level = float(solution[0])
-    if level < -NORMAL * scale:
+    j, force = axis.number, axis.force
+    (level, slope), (of_level, of_slope) = _line(curve, axis)
+    if level < -NORMAL * of_level:
         result.warnings.append(
-            f"Joint {j}: its friction is not told. It came out as {Estimate(level, scale, force)},"
-            " and none is below zero: inertia and weight are wrong by more than friction is. Look"
-            " at the model, or at the recording."
+            f"Joint {j}: its friction is not told. It came out as"
+            f" {Estimate(level, of_level, force)}, and none is below zero: inertia and weight are"
+            " wrong by more than friction is. Look at the model, or at the recording."
         )
         return
-    result.values[f"level{j}"] = Estimate(max(0.0, level), scale, force)
-    slope = Estimate(float(solution[1]), scale * 12**0.5 / axis.pace, f"{force} s/{axis.unit}")
-    result.values[f"slope{j}"] = slope
+    result.values[f"level{j}"] = Estimate(max(0.0, level), of_level, force)
+    result.values[f"slope{j}"] = Estimate(slope, of_slope, f"{force} s/{axis.unit}")
+
+
+def _line(curve: Curve, axis: Axis) -> tuple[Array, Array]:
+    """Level and slope of the line that friction ends in, and their standard deviations.
+
+    Neighbouring points share their smoothing, so means over twentieths of the speed count as one
+    measurement each, of each direction. The line begins with those of the upper half, and takes in
+    slower ones down to where friction leaves it: near rest bristles, creep or a fall with speed
+    are no line.
+    """
+    from scipy.special import stdtrit
+
+    rows = curve.slid(axis)
+    v, up = np.abs(curve.speed[rows]), np.sign(curve.speed[rows])
+    size = up * curve.friction[rows]
+    part = np.minimum((v / axis.pace * PARTS).astype(int), PARTS - 1)
+    keys = [(k, s) for k in range(PARTS) for s in (1, -1) if ((part == k) & (up == s)).any()]
+    here = [(part == k) & (up == s) for k, s in keys]
+    means = np.array([(v[x].mean(), size[x].mean()) for x in here]).T
+    of_part, sense = np.array(keys).T
+    A = np.stack([np.ones(len(keys)), means[0], sense], axis=1)
+    least = PARTS // 2
+    x, half, inverse = least_squares(A[of_part >= least], means[1][of_part >= least])
+    for k in range(least - 1, -1, -1):
+        above, new = of_part > k, of_part == k
+        if not new.any():
+            break
+        free = int(above.sum()) - 3
+        left = means[1][above] - A[above] @ x
+        mean = A[new].mean(axis=0)
+        spread = float(left @ left) / free * (1.0 / int(new.sum()) + mean @ inverse @ mean)
+        off = float(means[1][new].mean() - mean @ x)
+        if abs(off) > float(stdtrit(free, 0.5 + 0.5 * NO_CHANCE)) * spread**0.5:
+            break
+        x, half, inverse = least_squares(A[of_part >= k], means[1][of_part >= k])
+    load = curve.load
+    return x[:2], np.hypot(half[:2] / NORMAL, [load.level_std, load.slope_std])
 
 
 def _report_model(result: Result, axis: Axis, model: Load, load: Load) -> None:
