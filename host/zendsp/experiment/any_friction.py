@@ -29,6 +29,7 @@ from zendsp.experiment.gentle import (
 from zendsp.experiment.knowing import refuse_none
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import stride_of
+from zendsp.experiment.ramps import GAVE, NO_CHANCE, Turned, ramped, without
 from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
 from zendsp.experiment.sliding import (
     MOVING,
@@ -40,6 +41,7 @@ from zendsp.experiment.sliding import (
     found_friction,
 )
 from zendsp.experiment.watch import BEARS, LOOP, STIFFER, left_out, widen
+from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
 from zendsp_protocol.views import with_std
@@ -49,9 +51,7 @@ Line = tuple[float, float, float, float]  # level, viscous coefficient, their ha
 
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
-GAVE = 1e-3  # of its acceleration, that a held joint is accelerated by at least to be told of
 ONE_SIDED = 1.645  # standard deviations, that 5 % are beyond on one side
-NO_CHANCE = 0.99  # of the F distribution: what chance explains once in a hundred
 
 
 def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
@@ -78,10 +78,12 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
         for joint in joints or driven:
             with left_out(result, bench.target, joint):
                 reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
-                sliding = _record(bench, reference, joint, place)
                 turns = all_joints[joint - 1].unit == "rad"
+                sliding, rec = _record(bench, reference, joint, place)
                 sliding, coupled = with_coupling(sliding, turns)
                 found = fit_line(sliding, turns)
+                if ramps := ramped(rec, reference, joint, found):
+                    sliding, found, coupled = surest(sliding, found, coupled, ramps, turns)
                 curves[joint] = (sliding.points(found.free), found)
                 _report(result, joint, all_joints[joint - 1].unit, found)
                 names = [f"{name}{joint}" for name in ("inertia", "coulomb", "viscous")]
@@ -122,9 +124,11 @@ def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: flo
     return Reference(q, stride * period, kind="trapezoid", machine="")
 
 
-def _record(bench: Bench, reference: Reference, joint: int, place: Array) -> Sliding:
-    """The pieces of a joint's moves, after a gentle one. Where it does not follow them its loop is
-    made stiffer: a light joint with much friction hardly gives way to it.
+def _record(
+    bench: Bench, reference: Reference, joint: int, place: Array
+) -> tuple[Sliding, Recording]:
+    """The pieces of a joint's moves, after a gentle one, and the recording. Where it does not
+    follow them its loop is made stiffer: a light joint with much friction hardly gives way to it.
     """
     column, rate = reference.q[:, joint - 1], bench.target.status().rate_hz
     middle, travel = 0.5 * float(column.min() + column.max()), float(np.ptp(column))
@@ -142,7 +146,7 @@ def _record(bench: Bench, reference: Reference, joint: int, place: Array) -> Sli
         stiffer = STIFFER * inertias[joint - 1]
         ends = share[[0, 1, -2, -1]].min() > FOLLOWS
         if each or (ends and LOOP * stiffer > BEARS * rate * turned):
-            return sliding
+            return sliding, rec
         if tries < TRIES:
             inertias[joint - 1] = stiffer
     name = bench.machine.joints[joint - 1].name
@@ -158,6 +162,19 @@ def _shares(sliding: Sliding, reference: Reference, joint: int) -> Array:
     wanted = np.array([pace[a:b].mean() for a, b in parts])
     which = np.unique(sliding.part)
     return np.asarray(sliding.points(sliding.torque)[:, 0] / wanted[which])
+
+
+def surest(
+    sliding: Sliding, found: Friction, coupled: tuple[int, ...], ramps: Turned, may_weigh: bool
+) -> tuple[Sliding, Friction, tuple[int, ...]]:
+    """The surer of two lines, with its pieces and the held joints whose coupling is known: the one
+    that was fitted beside the inertia, or with that of the ramps.
+    """
+    other, more = with_coupling(without(replace(sliding, further=()), ramps), may_weigh)
+    beside = fit_line(other, may_weigh)
+    if beside.mean[3] >= found.mean[3]:
+        return sliding, found, coupled
+    return other, beside, (*ramps.coupled, *more)
 
 
 def with_coupling(sliding: Sliding, may_weigh: bool) -> tuple[Sliding, tuple[int, ...]]:

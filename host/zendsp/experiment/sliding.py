@@ -47,6 +47,11 @@ class Sliding:
         Standard deviation of the torque within each piece, N m.
     step : float
         Of the torque, where the resolution of the command is known, N m.
+    inertia : tuple of float, optional
+        With its half width, where the torque is given without it, kg m^2.
+    unsure : tuple of ndarray
+        Standard deviations of what was taken off the torque so: in each, all pieces are off by the
+        same share, N m.
     """
 
     part: npt.NDArray[np.int64]
@@ -60,6 +65,8 @@ class Sliding:
     scatter: Array | None = None
     step: float = 0.0
     turns: Mapping[int, Array] = field(default_factory=dict)
+    inertia: tuple[float, float] | None = None
+    unsure: tuple[Array, ...] = ()
 
     def rounded(self) -> Array:
         """Standard deviation of what the mean torque of each piece is rounded by. A command that
@@ -236,6 +243,8 @@ def fit_friction(
     # what a command is rounded by is the same in all of a part
     error = weighted * (weight * sliding.rounded())[:, None]
     sums = np.stack([error[sliding.part == k].sum(axis=0) for k in np.unique(sliding.part)], axis=1)
+    for off in sliding.unsure:
+        sums = np.column_stack([sums, weighted.T @ (weight * off)])
     wide = np.hypot(wide, NORMAL * np.linalg.norm(every @ inverse @ sums, axis=1))
     half, width = np.split(wide, [len(x)])
     if unknown:  # the others give way in the direction of the move, and change that weight
@@ -261,7 +270,9 @@ def fit_friction(
     each = [(float(v), float(h)) for v, h in zip(x, half, strict=True)]
     if weighs:
         found = replace(found, cosine=each[4], sine=each[5])
-    return replace(found, inertia=each[6 if weighs else 4]) if unknown else found
+    if not unknown:
+        return found
+    return replace(found, inertia=sliding.inertia or each[6 if weighs else 4])
 
 
 def _columns(
@@ -274,7 +285,7 @@ def _columns(
     columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
     if weighs:
         columns += [np.cos(sliding.q), np.sin(sliding.q)]
-    if unknown:
+    if unknown and sliding.inertia is None:
         columns.append(sliding.acceleration)
     columns += sliding.further
     others = len(columns)
