@@ -27,9 +27,9 @@ from zendsp.experiment import (
 )
 from zendsp.experiment.any_friction import _moves
 from zendsp.experiment.estimates import bump_means
+from zendsp.experiment.gentle import ROWS
 from zendsp.experiment.knowing import with_values
 from zendsp.experiment.lab import needed, told
-from zendsp.experiment.low_speed import ROWS
 from zendsp.experiment.mechanics import _durations, _way
 from zendsp.experiment.motor import sensor_step
 from zendsp.experiment.names import FORMER, result_file

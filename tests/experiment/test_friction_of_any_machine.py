@@ -18,10 +18,11 @@ from zendsp.experiment import Estimate, Lab, Result
 from zendsp.experiment.breakaway import Push, Pushes, _report_stiffness, breakaway
 from zendsp.experiment.circle import circle
 from zendsp.experiment.friction_curve import friction_curve
+from zendsp.experiment.gentle import ROWS
 from zendsp.experiment.high_speed import _unfit, high_speed
 from zendsp.experiment.joints import Known, Load, axis_of, load_of, rigid_of
 from zendsp.experiment.knowing import with_loads, with_pushes
-from zendsp.experiment.low_speed import ROWS, Curve, _line, low_speed, triangles
+from zendsp.experiment.low_speed import Curve, _line, low_speed, triangles
 from zendsp.experiment.moved import Moved, contradicting, measured_load
 from zendsp.experiment.plane import circle_of, fitting_circle, plane_of
 from zendsp.experiment.push import Pusher

@@ -26,6 +26,7 @@ static double bandwidth, damping, reset, amplitude, period;
 static double J[8];   /* kg m^2 (or kg) */
 static double tau[8]; /* N m (or N) */
 static double sum[8]; /* N m, of the integrals */
+static double carried[8];
 static double phase;  /* of the sway, turns */
 /* amplitude and 1 / period of the sway as they act, and on their way there */
 static double swing[2], pace[2];
@@ -43,6 +44,7 @@ void UserInit(void) {
     PARAMETER(period, 4.0, "s", 0.5, 60.0,
               "of the sway of joint 1; each next joint sways a fifth faster");
     PARAMETER_FIRST(J, N, "{J}", 1e-12, 1e6, "inertia that each joint turns");
+    PARAMETER_FIRST(carried, N, "{tau}", -1e6, 1e6, "that the integrals begin with: a weight");
     SIGNAL_FIRST(tau, N, "{tau}", "commands");
 }
 
@@ -82,7 +84,7 @@ void UserISR_INT2(void) {
         wanted += Compensation(j, r, rd, rdd, wanted);
         tau[j] = wanted > most ? most : wanted < -most ? -most : wanted;
         if (!DRIVE_ENABLED || FIRST_SAMPLE)
-            sum[j] = 0.0;
+            sum[j] = carried[j];
         else if (wanted == tau[j]) /* the integral rests while the torque is at its limit */
             sum[j] += stiff * e[j] * SAMPLE_PERIOD / reset;
         WRITE_TORQUE(j, tau[j]);

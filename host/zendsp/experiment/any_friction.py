@@ -25,10 +25,10 @@ from zendsp.experiment.gentle import (
     TRIES,
     approach_time,
     gentle_first,
+    stride_of,
 )
 from zendsp.experiment.knowing import refuse_none
 from zendsp.experiment.lab import Bench, Lab
-from zendsp.experiment.low_speed import stride_of
 from zendsp.experiment.ramps import GAVE, NO_CHANCE, Turned, ramped, without
 from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
 from zendsp.experiment.sliding import (
@@ -40,6 +40,7 @@ from zendsp.experiment.sliding import (
     fit_friction,
     found_friction,
 )
+from zendsp.experiment.standing import standing
 from zendsp.experiment.watch import BEARS, LOOP, STIFFER, left_out, widen
 from zendsp.recording import Recording
 from zendsp.reference import Reference
@@ -70,8 +71,7 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
     result = Result("friction", "Friction of every joint", lab.machine_of("friction"))
     curves: dict[int, tuple[Array, Friction]] = {}
     with lab.bench(result.name) as bench:
-        place = bench.record("where_it_stands", PROGRAM, CHANNELS, seconds=0.2)["q"][-1]
-        place = np.atleast_1d(place)
+        place = standing(bench)
         all_joints = bench.target.machine().joints
         period = 1.0 / bench.target.status().rate_hz
         driven = tuple(i for i, j in enumerate(all_joints, 1) if j.command != "none")

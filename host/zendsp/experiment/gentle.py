@@ -38,6 +38,7 @@ SLIDES = 0.2  # of a move's largest speed: below, bristles bend
 PIECES = 10  # of a move
 WIDTH = 1.0 / 6.0  # of a move: what a piece averages over
 FEWEST = 41  # samples of it
+ROWS = 50000  # of a program's table, at most
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,17 @@ def smooth_moves(
     q = np.tile(place, (row, 1))
     q[:, joint - 1] = np.concatenate(way)
     return Moves(Reference(q, period, kind="point_to_point", machine=""), tuple(rows))
+
+
+def stride_of(seconds: float, period: float) -> int:
+    """Samples a row of a motion that a program's table holds; rows a second are a whole number, as
+    programs play them.
+    """
+    rate = round(1.0 / period)
+    stride = max(1, int(np.ceil(seconds * rate / ROWS)))
+    while stride < rate and rate % stride:
+        stride += 1
+    return stride
 
 
 def weak_pieces(rec: Recording, moves: Moves, joint: int) -> Accelerated:

@@ -25,6 +25,8 @@ from zendsp.experiment.joints import (
 from zendsp.experiment.lab import Bench, Lab, needed
 from zendsp.experiment.planar_arm import ARM
 from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.standing import standing
+from zendsp.link.outside import positions
 from zendsp.physics import load_model
 from zendsp_protocol.texts import counted
 
@@ -62,14 +64,12 @@ def model_of(lab: Lab, joints: int) -> Rigid | None:
 def first_look(bench: Bench, lab: Lab) -> Known:
     """A machine of which nothing is known but what it says itself, and what a model says.
 
-    Nothing moves: the program that holds every joint runs for 0.2 s, and tells where they stand and
-    what they turn.
+    The program that holds every joint runs for 0.2 s, and tells where they stand and what they
+    turn; those that stand beside a limit are moved off it.
     """
-    pose = np.atleast_1d(
-        bench.record("where_it_stands", PROGRAM, ("play_time", "q", "tau"), seconds=0.2)["q"][-1]
-    )
     infos = bench.machine.joints
     rigid = model_of(lab, len(infos))
+    pose = standing(bench, weight_here(bench, rigid), takes_model=True)
     said = np.atleast_1d(np.asarray(bench.target["J"], dtype=np.float64))
     axes = {}
     for number, info in enumerate(infos, start=1):
@@ -80,6 +80,16 @@ def first_look(bench: Bench, lab: Lab) -> Known:
             load = load_of(rigid, pose, number, info.unit != "rad")
         axes[number] = axis_of(number, info, float(pose[number - 1]), load, TOUCH * info.torque_max)
     return Known(lab.machine_of("low-speed"), axes, pose, rigid, apart=rigid is not None)
+
+
+def weight_here(bench: Bench, rigid: Rigid | None) -> Array | None:
+    """What the joints weigh where they stand by a model, N m (N); None without one."""
+    if rigid is None:
+        return None
+    bench.target.download(PROGRAM)  # positions are known while a program is loaded
+    here = np.array(positions(bench.target.status(), bench.machine.joints), dtype=np.float64)
+    still = np.zeros((1, len(here)))
+    return np.asarray(rigid(here[None, :], still, still)[0])
 
 
 def with_values(

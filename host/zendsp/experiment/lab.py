@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.errors import RecordingError, Refused, ZendspError
 from zendsp.experiment.names import result_file
@@ -22,6 +23,7 @@ from zendsp.experiment.result import Result
 from zendsp.experiment.watch import Held, Seen, check, guarded, look
 from zendsp.here.stopped import ended
 from zendsp.link import Target
+from zendsp.link.outside import positions
 from zendsp.link.put_back import GONE, Loaded, kept
 from zendsp.recording import Recording
 from zendsp.recording.files import save_anyhow
@@ -30,9 +32,12 @@ from zendsp_protocol.messages import MachineInfo
 from zendsp_protocol.states import Clock, DriveState, ProgramState
 
 Say = Callable[[str], None]
+Array = npt.NDArray[np.float64]
 IDLE = {"idle.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'}
 HOLDS = "joint_pd.c"  # without a reference it holds every joint where it stands
 AFTER_S = 0.5  # that is still recorded when all is done
+STILL = 0.01  # rad, m, and of its range: a joint that has moved by less stands where it stood
+ENDING = 20  # rows of a recording, that tell what holds the joints at its end
 BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
 
 
@@ -194,6 +199,8 @@ class Bench:
         self.loaded: object = None
         self.seen: dict[int, Seen] = {}  # of each joint in the latest recording
         self.inertias = np.zeros(0)  # of each joint, as the machine declares them
+        # where the latest recording ended, rad (m), and the torque that held every joint, N m (N)
+        self.ended: tuple[Array, Array] | None = None
 
     @property
     def machine(self) -> MachineInfo:
@@ -270,6 +277,8 @@ class Bench:
             seconds = seconds if seconds is not None else before + reference.duration + after
             for table, rows in reference.tables().items():
                 target.upload(table, rows)
+        if program == HOLDS and (reference is None or reference.tau is None):
+            values = self._carried() | values
         if values:
             target.write(**values)
         if seconds is None:
@@ -292,10 +301,24 @@ class Bench:
                 self._keep_part(name, str(error) or type(error).__name__)
             raise
         self._keep(recording, name)
+        if program == HOLDS and "tau" in recording.names:
+            last = [np.atleast_2d(recording[x].T)[:, -ENDING:].mean(axis=1) for x in ("q", "tau")]
+            self.ended = last[0], last[1]
         if program == HOLDS and reference is None:
             held = Held(dict(enumerate(np.atleast_1d(recording["q"][0]).tolist(), start=1)), ())
         self._watch(recording, name, reference, held)
         return recording
+
+    def _carried(self) -> dict[str, list[float]]:
+        """The torque that holds the joints where they stand, if they stand where the latest
+        recording ended: joint_pd.c begins with it, and no weight sinks.
+        """
+        if self.ended is None:
+            return {}
+        joints = self.machine.joints
+        room = np.array([min(STILL, STILL * (j.position_max - j.position_min)) for j in joints])
+        moved = np.array(positions(self.target.status(), joints)) - self.ended[0]
+        return {"carried": self.ended[1].tolist()} if (np.abs(moved) <= room).all() else {}
 
     def _watch(
         self, recording: Recording, name: str, reference: Reference | None, held: Held

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from zendsp.errors import Unmeasured
 from zendsp.experiment.estimates import NORMAL, least_squares, smoothed
 from zendsp.experiment.figures import AMBER, BLUE, label, make_figure, save
-from zendsp.experiment.gentle import gentle_first
+from zendsp.experiment.gentle import gentle_first, stride_of
 from zendsp.experiment.joints import Array, Axis, Known, Load
 from zendsp.experiment.knowing import PROGRAM, first_look, refuse_none, shipped, with_loads
 from zendsp.experiment.lab import Bench, Lab, playing
@@ -40,7 +40,6 @@ QUIET = 0.2  # of the acceleration, what the encoder's counts may add to it
 SETTLES = 0.08  # s, a quarter of a swing of joint_pd.c, after a jump of the acceleration
 FEWEST = 20  # points of the curve at which the joint slides
 PARTS = 20  # of the speed: each is one measurement of the line that friction ends in
-ROWS = 50000  # of a program's table, at most
 
 
 class Triangles(NamedTuple):
@@ -171,17 +170,6 @@ def triangles(axis: Axis, known: Known, cycles: int, period: float) -> Triangles
     qd[:, j], qdd[:, j] = motion[1:]
     reference = Reference(q, step, qd, qdd, kind="triangle", machine="")
     return Triangles(reference, 4 * rows, 4 * round(quick / step) if unknown else 0, stride)
-
-
-def stride_of(seconds: float, period: float) -> int:
-    """Samples a row of a motion that a program's table holds; rows a second are a whole number, as
-    programs play them.
-    """
-    rate = round(1.0 / period)
-    stride = max(1, int(np.ceil(seconds * rate / ROWS)))
-    while stride < rate and rate % stride:
-        stride += 1
-    return stride
 
 
 def friction_curve(rec: Recording, known: Known, axis: Axis, motion: Triangles) -> Curve:

@@ -33,6 +33,7 @@ from zendsp.experiment.knowing import refuse_none
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.result import Cell, Estimate, Result
 from zendsp.experiment.sliding import Friction, Sliding, found_friction
+from zendsp.experiment.standing import standing
 from zendsp.experiment.watch import left_out, widen
 from zendsp_protocol.messages import JointInfo
 from zendsp_protocol.views import with_std
@@ -66,8 +67,7 @@ def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
     result = Result("mechanical", "Inertia, weight and friction of every joint", name)
     curves: dict[int, tuple[Sliding, Friction]] = {}
     with lab.bench(result.name) as bench:
-        stands = bench.record("where_it_stands", PROGRAM, CHANNELS, seconds=0.2)
-        place, told = np.atleast_1d(stands["q"][-1]), bench.machine.joints
+        place, told = standing(bench), bench.machine.joints
         for joint in joints or [j for j, own in enumerate(told, 1) if own.command != "none"]:
             with left_out(result, bench.target, joint):
                 turns = told[joint - 1].unit == "rad"

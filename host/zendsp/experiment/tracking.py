@@ -14,8 +14,11 @@ from matplotlib.figure import Figure
 from zendsp.errors import ModelError
 from zendsp.experiment import wam_friction
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
+from zendsp.experiment.joints import rigid_of
+from zendsp.experiment.knowing import weight_here
 from zendsp.experiment.lab import Bench, Lab, needed, playing
 from zendsp.experiment.result import Cell, Estimate, Result
+from zendsp.experiment.standing import standing
 from zendsp.experiment.wam_friction import JOINTS, POSE
 from zendsp.physics import load_model, parse_model, simulate
 from zendsp.physics.codegen.urdf import dh_urdf
@@ -110,9 +113,7 @@ def _any_plan(bench: Bench, model: Model) -> Plan:
             f"{model.name} has {counted(model.joints, 'joint')} and {told.name}"
             f" {len(told.joints)}: give a model of that machine"
         )
-    start = np.atleast_1d(
-        bench.record("where_it_stands", "joint_pd.c", CHANNELS, seconds=0.2)["q"][-1]
-    )
+    start = standing(bench, weight_here(bench, rigid_of(model)), takes_model=True)
     low, high, speed, torque = np.array(
         [(j.position_min, j.position_max, j.speed_max, j.torque_max) for j in told.joints]
     ).T
