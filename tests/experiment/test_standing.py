@@ -66,4 +66,4 @@ def test_a_joint_beside_its_limit_is_held_and_moved_off_it(tmp_path: Path) -> No
         with Lab(tmp_path, target).bench("friction") as bench:
             place = standing(bench)
         assert target.status().trip is None
-    assert place == pytest.approx([1.8 - 0.05 * 3.6], abs=0.01)
+    assert place == pytest.approx([1.8 - 0.02 * 3.6], abs=0.01)

@@ -48,6 +48,12 @@ diaginertia="0.01 0.01 0.01"/><body><joint name="c"/><inertial pos="0 0 0" mass=
 diaginertia="0.01 0.01 0.01"/></body></body></body></worldbody><actuator>
 <motor joint="a" ctrlrange="-10 10"/><motor joint="b" ctrlrange="-10 10"/>
 <motor joint="c" ctrlrange="-10 10"/></actuator></mujoco>"""
+# a block at 0.2 rad, which no range declares
+STOP = """<mujoco model="stop"><compiler angle="radian"/><worldbody><body><joint name="turn"
+axis="0 0 1" armature="0.05" damping="0.3" frictionloss="0.4" range="-2 2"/><geom type="capsule"
+fromto="0 0 0 0.4 0 0" size="0.02" mass="1"/></body><body pos="0.25 0.13 0"><geom type="box"
+size="0.05 0.05 0.1" mass="10"/></body></worldbody>
+<actuator><motor joint="turn" ctrlrange="-20 20"/></actuator></mujoco>"""
 # of what turns a hundredth is declared: its loop swings up
 THROWN = """<mujoco model="thrown"><compiler angle="radian"/><worldbody><body>
 <joint name="a" axis="0 0 1" range="-2 2" armature="0.1"/>
@@ -250,3 +256,21 @@ def test_what_is_held_follows_from_the_reference_or_the_push() -> None:
     assert held == Held({2: 0.3}, (1,), {1: (0.0, 1.0)})
     assert Held.by(None, {"joint": 2, "place": [0.1, 0.2]}) == Held({1: 0.1}, (2,))
     assert Held.by(None, {}) == Held({}, ())
+
+
+@pytest.mark.parametrize("name", ["friction", "low-speed"])
+def test_a_joint_that_something_holds_up_is_held_there_at_once(tmp_path: Path, name: str) -> None:
+    """It was pushed against the block for the whole of each move, by up to 20 N m."""
+    with started(tmp_path, STOP) as target:
+        said = r"something holds joint 1 \(turn\) up at 0\.19\d* rad, within its range of -2 to 2"
+        with pytest.raises(Refused, match=said):
+            run_experiment(name, Lab(tmp_path, target))
+        assert target.status().trip is None
+    rec = Recording.load(tmp_path / name / "joint1.npz")
+    q, tau, blocked = (rec[x].ravel() for x in ("q", "tau", "blocked"))
+    seen = int(np.argmax(blocked > 0))
+    touched = seen - int(np.argmax(np.abs(q[seen::-1] - q[seen]) > 2e-3))
+    assert (seen - touched) * rec.sample_time < 0.4, "s, from the touch on"
+    # then by no more than it had moved by, once its loop has come to rest; 0.2 N m: noise
+    later = seen + round(0.3 / rec.sample_time)
+    assert np.abs(tau[later:]).max() < np.abs(tau[:touched]).max() + 0.2

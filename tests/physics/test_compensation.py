@@ -155,13 +155,15 @@ def test_a_stribeck_term_alone_is_compensated_over_the_coulomb_level_of_its_mode
 
 def test_joint_pd_takes_a_compensation_that_lies_beside_it() -> None:
     model = rotary(effect("coulomb", level=0.2))
-    own = (source_root() / "programs" / "joint_pd.c").read_text()
+    programs = source_root() / "programs"
+    own = (programs / "joint_pd.c").read_text()
+    beside = {name: (programs / name).read_text() for name in ("motion.h", "blocked.h")}
     found = compensation(model.terms, actuator=model.actuator)
     error = {}
     for share in (0.0, 1.0):
         settings = {"comp_share": share, "amplitude": 0.4, "period": 2.0, "J": [0.01]}
         rec = simulate(
-            {"joint_pd.c": own, "motion.h": MOTION, "compensation.c": found}, model,
+            {"joint_pd.c": own, **beside, "compensation.c": found}, model,
             seconds=6.0, parameters=settings,
         )  # fmt: skip
         error[share] = float(np.sqrt(np.mean(rec["e"][2500:] ** 2)))

@@ -6,6 +6,9 @@
  * J is what the machine says that each joint turns; where it says nothing, what its torque
  * accelerates by 100 rad/s^2.
  *
+ * With `stalls` the machine is held where it is as soon as something holds a joint up on its way
+ * (blocked.h); `blocked` says which.
+ *
  * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command,
  * along the reference, as in pd.c.
  */
@@ -27,7 +30,11 @@ static double J[8];   /* kg m^2 (or kg) */
 static double tau[8]; /* N m (or N) */
 static double sum[8]; /* N m, of the integrals */
 static double carried[8];
+static bool stalls;
+static int32_t blocked;
+static double kept[8]; /* rad (or m), where the joints are held once one is blocked */
 static double phase;  /* of the sway, turns */
+#include "blocked.h"
 /* amplitude and 1 / period of the sway as they act, and on their way there */
 static double swing[2], pace[2];
 
@@ -45,7 +52,9 @@ void UserInit(void) {
               "of the sway of joint 1; each next joint sways a fifth faster");
     PARAMETER_FIRST(J, N, "{J}", 1e-12, 1e6, "inertia that each joint turns");
     PARAMETER_FIRST(carried, N, "{tau}", -1e6, 1e6, "that the integrals begin with: a weight");
+    PARAMETER(stalls, 0, "", 0, 1, "hold the machine where a joint is blocked");
     SIGNAL_FIRST(tau, N, "{tau}", "commands");
+    SIGNAL(blocked, "", "joint that something holds up, from 1; 0: none");
 }
 
 /* Lead what acts over to what was set, in two lags of 0.15 s: neither it nor its speed jumps. */
@@ -77,6 +86,13 @@ void UserISR_INT2(void) {
     const double w = 6.283185307179586 * bandwidth;
     MotionStep();
     sway();
+    if (FIRST_SAMPLE || !DRIVE_ENABLED)
+        blocked = 0;
+    for (int32_t j = 0; j < N && blocked > 0; j++) {
+        r[j] = kept[j];
+        rd[j] = rdd[j] = tau_ff[j] = 0.0;
+        e[j] = r[j] - q[j];
+    }
     for (int32_t j = 0; j < N; j++) {
         const double most = TORQUE_MAX(j), stiff = J[j] * w * w;
         double wanted =
@@ -85,8 +101,16 @@ void UserISR_INT2(void) {
         tau[j] = wanted > most ? most : wanted < -most ? -most : wanted;
         if (!DRIVE_ENABLED || FIRST_SAMPLE)
             sum[j] = carried[j];
-        else if (wanted == tau[j]) /* the integral rests while the torque is at its limit */
+        else if (wanted == tau[j] && blocked != j + 1) /* rests at the limit, and where blocked */
             sum[j] += stiff * e[j] * SAMPLE_PERIOD / reset;
         WRITE_TORQUE(j, tau[j]);
+    }
+    const int32_t found = Blocked();
+    if (stalls && blocked == 0 && found > 0) {
+        const struct blocked *b = &blocked_joint[found - 1];
+        blocked = found; /* held by no more than it had moved by */
+        sum[found - 1] = fmax(b->low, fmin(b->high, sum[found - 1]));
+        for (int32_t j = 0; j < N; j++)
+            kept[j] = q[j];
     }
 }

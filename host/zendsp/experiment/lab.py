@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import RecordingError, Refused, ZendspError
+from zendsp.errors import RecordingError, Refused, Unmeasured, ZendspError
 from zendsp.experiment.names import result_file
 from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
@@ -277,8 +277,12 @@ class Bench:
             seconds = seconds if seconds is not None else before + reference.duration + after
             for table, rows in reference.tables().items():
                 target.upload(table, rows)
-        if program == HOLDS and (reference is None or reference.tau is None):
-            values = self._carried() | values
+        if program == HOLDS:
+            channels = [*channels, "blocked"]
+            done = done or _blocked
+            values = {"stalls": True, **values}
+            if reference is None or reference.tau is None:
+                values = self._carried() | values
         if values:
             target.write(**values)
         if seconds is None:
@@ -329,8 +333,25 @@ class Bench:
         if (not held.places and not held.moving) or "q" not in recording.names:
             return
         limits = self.target.limits()
+        self._refuse_blocked(recording, name)
         self.seen = look(recording, reference, held, limits.torque_max)
         check(name, self.seen, self.machine.joints, held, limits)
+
+    def _refuse_blocked(self, recording: Recording, name: str) -> None:
+        """Leave out a joint that something held up: others may still be measured."""
+        if "blocked" not in recording.names or not (numbers := recording["blocked"]).any():
+            return
+        row = int(np.argmax(numbers > 0))
+        j = int(numbers[row])
+        own = self.machine.joints[j - 1]
+        q, tau = (float(np.atleast_2d(recording[x].T)[j - 1, row]) for x in ("q", "tau"))
+        force = "N m" if own.unit == "rad" else "N"
+        raise Unmeasured(
+            f"{name}: something holds joint {j} ({own.name}) up at {q:.3g} {own.unit}, within its"
+            f" range of {own.position_min:.3g} to {own.position_max:.3g}: it stands there while its"
+            f" command came to {tau:.3g} {force}, more than it had moved by. It was held there at"
+            " once. Take away what it touches, or let the machine declare the range that it has"
+        )
 
     def _make_ready(self, name: str) -> None:
         """Home the machine where the load has forgotten the homing, and enable drives that were
@@ -354,6 +375,11 @@ class Bench:
             self.target.acquire_stop()
             recording = self.target.acquire_load(f"{name}, ended early: {why}")
             save_anyhow(recording, self.folder / f"{name}_ended.npz")
+
+
+def _blocked(target: Target) -> bool:
+    """Whether joint_pd.c holds the machine because a joint is blocked."""
+    return int(np.asarray(target["blocked"])) > 0
 
 
 def _ending(

@@ -15,13 +15,12 @@ from zendsp.experiment.sliding import ACTS, STEADY, Friction, Sliding
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 
-SETTLES = 0.1  # s, after a ramp or before one, in which the loop comes to speed
+BEFORE = 0.1  # s, before a ramp, that belong to it: a mean weighs its middle most
 FEWEST = 41  # rows, that a mean over a ramp is made of
 TOLD = 0.2  # of an inertia, its standard deviation at most where it is taken off
-# of the friction, that it may be off by in a ramp that begins at rest. On the planar arm it falls
-# from 11.4 to 8.45 N m in the first 50 of 250 ms; the inertia is then right to 0.3 %, on the mean
-# of ramps up and down (docs/measurements/experiments.md, "friction, imi_planar")
-FROM_REST = 0.1
+# of the friction, that it may be off by in a ramp that ends at rest: it falls or rises there, by a
+# third on the planar arm, in the last of 250 ms (docs/measurements/experiments.md)
+AT_REST = 0.1
 GAVE = 1e-3  # of its acceleration, that a held joint is accelerated by at least to be told of
 NO_CHANCE = 0.99  # of the F distribution: what chance explains once in a hundred
 
@@ -38,20 +37,20 @@ class Turned:
 
 
 def ramped(rec: Recording, reference: Reference, joint: int, found: Friction) -> Turned | None:
-    """The inertia that the ramps of a joint's moves show beside the weight that its pieces at
-    constant speed show; None where they do not.
+    """The inertia that the ramps of a joint's moves show beside the weight and the viscous friction
+    that its pieces at constant speed show; None where they do not.
 
-    Momentum that a ramp adds takes as much torque whatever friction is; ramps up and down, in each
-    direction, have a friction of their own, since each lies at a place of its own.
+    Only ramps down to rest: there the joint slides all the time, and friction is what it was. From
+    rest on bristles bend first, the longer the slower the ramp, which looks like inertia.
     """
     table = _ramps(rec, reference, joint)
     if table is None:
         return None
-    place, speed, gain, torque, rising, turns = table
-    torque = torque - found.cosine[0] * np.cos(place) - found.sine[0] * np.sin(place)
+    place, speed, gain, torque, turns = table
     up = speed > 0
-    kinds = [(rising == r) & (up == s) for r in (True, False) for s in (True, False)]
-    A = np.stack([gain, up * speed, ~up * speed, *(1.0 * k for k in kinds if k.any())], axis=1)
+    torque = torque - found.cosine[0] * np.cos(place) - found.sine[0] * np.sin(place)
+    torque = torque - np.where(up, found.value["+"][1], found.value["-"][1]) * speed
+    A = np.stack([gain, 1.0 * up, 1.0 * ~up], axis=1)
     x, half, squares = _solved(A, torque)
     n = A.shape[1]
     taken: tuple[int, ...] = ()
@@ -64,7 +63,10 @@ def ramped(rec: Recording, reference: Reference, joint: int, found: Friction) ->
         A, taken = np.column_stack([A, turns[best]]), (*taken, best)
         x, half, squares = each[best]
         left.remove(best)
-    std = np.hypot(half / NORMAL, FROM_REST * found.mean[0] / float(np.abs(gain).max()))
+    hard = float(np.abs(gain).max())
+    viscous = found.mean[3] * float(np.abs(speed).max())  # of which the line is unsure
+    off = np.hypot(AT_REST * found.mean[0], viscous / NORMAL) / hard
+    std = np.hypot(half / NORMAL, off)
     if not std[0] < TOLD * x[0]:
         return None
     coupled = {k: (float(x[n + i]), float(std[n + i])) for i, k in enumerate(taken)}
@@ -87,9 +89,9 @@ def without(sliding: Sliding, found: Turned) -> Sliding:
 
 def _ramps(
     rec: Recording, reference: Reference, joint: int
-) -> tuple[Array, Array, Array, Array, Array, dict[int, Array]] | None:
-    """Mean position, speed, acceleration and torque of each ramp, whether it gains speed, and the
-    acceleration of each joint that was held; None where the recording is too coarse.
+) -> tuple[Array, Array, Array, Array, dict[int, Array]] | None:
+    """Mean position, speed, acceleration and torque of each ramp to rest, and the acceleration of
+    each joint that was held; None where the recording is too coarse.
     """
     ratio = round(rec.sample_time / reference.sample_time)
     rows = playing(rec, reference.samples // ratio)
@@ -99,21 +101,21 @@ def _ramps(
     at = np.arange(n)
     acting = np.interp(at - ACTS / rec.decimation, at, tau)
     pace, gain = (x[::ratio, joint - 1][:n] for x in (reference.qd, reference.qdd))
-    beside, out, others = round(SETTLES / dt), [], []
+    beside, out, others = round(BEFORE / dt), [], []
     for first, last in stretches(np.abs(gain) > STEADY):
-        rises = float(gain[first:last].mean() * pace[first:last].mean()) > 0.0
-        # the other side of a ramp is rest, where the joint sticks
-        a, b = (first, min(last + beside, n)) if rises else (max(first - beside, 0), last)
+        if float(gain[first:last].mean() * pace[first:last].mean()) > 0.0:
+            continue
+        a, b = max(first - beside, 0), last
         if b - a < FEWEST:
             return None
         place, speed, turn = bump_means(q[a:b, joint - 1], dt)
-        out.append((place, speed, turn, bump_means(acting[a:b], dt)[0], rises))
+        out.append((place, speed, turn, bump_means(acting[a:b], dt)[0]))
         others.append([bump_means(x, dt)[2] for x in q[a:b].T])
     if not out:
         return None
-    place, speed, turn, torque, rising = np.array(out).T
+    place, speed, turn, torque = np.array(out).T
     each = {k: x for k, x in enumerate(np.array(others).T, 1) if k != joint}
-    return place, speed, turn, torque, rising > 0.5, each
+    return place, speed, turn, torque, each
 
 
 def _solved(A: Array, torque: Array) -> tuple[Array, Array, float]:

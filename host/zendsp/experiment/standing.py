@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 USUAL = 3.0  # Hz, bandwidth of joint_pd.c
 WEIGHS = 0.5  # of its torque_max, the most that a joint is taken to weigh
 ROOM = 0.5  # of the largest speed, and of the way to a limit: the most that is sunk by then
-ASIDE = 0.05  # of its range, that a joint is to stand off its limits
+ASIDE = 0.02  # of its range, that a joint is to stand off its limits
 SLOW, CALM = 0.1, 2.0  # of the largest speed; s: a move off a limit
 
 
