@@ -295,3 +295,30 @@ def test_a_urdfs_joints_are_named_as_an_mjcfs_and_written_again(tmp_path: Path) 
     assert parse_model(tomllib.loads(model_text(model))).robot.joints == ("j2",)
     with pytest.raises(ModelError, match="joints belongs to kind = 'urdf' or 'mjcf', not 'rotary'"):
         parse_model({"mechanism": {"kind": "rotary", "joints": ["a"], "parameters": {}}})
+
+
+ROD = """<mujoco><worldbody><body><joint name="a" axis="0 0 1" armature="0.05"/>
+<inertial pos="0.2 0 0" mass="2" diaginertia="0.01 0.01 0.01"/><body pos="0.4 0 0">
+<joint name="b" axis="0 0 1"/><inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.004"/>
+</body></body></worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+
+
+def test_the_load_of_a_spring_is_what_the_links_of_a_robots_file_turn(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "rod.xml").write_text(ROD)
+    head = 'name = "rod"\nsample_time = 0.001\n[mechanism]\nkind = "mjcf"\nfile = "rod.xml"\n'
+    spring = '[[effect]]\nkind = "elasticity"\njoint = 1\nstiffness = 4e3\ndamping = 1.0\n'
+    (tmp_path / "rod.toml").write_text(head + spring)
+    term = next(t for t in load_model(tmp_path / "rod.toml").terms if t.effect == "elasticity")
+    # 2 kg at 0.2 m, 1 kg at 0.5 m, and their own; the rotor is before the spring
+    links = 2 * 0.2**2 + 0.01 + 1 * 0.5**2 + 0.004
+    assert term.value("load_inertia") == pytest.approx(links)
+    assert term.value("links_inertia") == pytest.approx(links)
+    (tmp_path / "rod.toml").write_text(head + spring + "load_inertia = 0.3\n")
+    term = next(t for t in load_model(tmp_path / "rod.toml").terms if t.effect == "elasticity")
+    assert (term.value("load_inertia"), term.value("links_inertia")) == (0.3, 0.0), "as given"
+    with pytest.raises(ModelError, match="lacks 'load_inertia': part of the joint's inertia that"):
+        parse_model({
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": 1.0}},
+            "effect": [{"kind": "elasticity", "stiffness": 4e3, "damping": 1.0}],
+        })  # fmt: skip

@@ -30,6 +30,7 @@ from zendsp.physics.model import (
     Sensor,
     Term,
 )
+from zendsp.physics.robots.rigid import links_inertia
 from zendsp.physics.robots.robot import joint_kinds, stated
 from zendsp.recording.units import not_known, to_si
 from zendsp_protocol import written
@@ -236,7 +237,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     effects = data.get("effect", [])
     if not isinstance(effects, list):
         raise read.fail("[[effect]]", "an array of tables", effects)
-    return model.with_terms((*own, *(_term(read, item, model.joints) for item in effects)))
+    return model.with_terms((*own, *(_term(read, item, model) for item in effects)))
 
 
 def _check_keys(read: _Reader, data: Mapping[str, Any]) -> None:
@@ -393,15 +394,29 @@ def _discrepancy(read: _Reader, data: Mapping[str, Any]) -> Discrepancy:
     )
 
 
-def _term(read: _Reader, data: Any, joints: int) -> Term:
+def _with_links(data: Mapping[str, Any], model: Model, joint: int) -> Mapping[str, Any]:
+    """An effect behind a transmission with the inertia of a robot's links, where it states none:
+    all of them are then behind it.
+    """
+    needed = {p.name for p in get_effect(str(data["kind"])).parameters if p.default is None}
+    if model.kind not in TREES or "load_inertia" not in needed:
+        return data
+    if {"load_inertia", "links_inertia"} & data.keys():
+        return data
+    links = links_inertia(model, joint)
+    return {**data, "load_inertia": links, "links_inertia": links}
+
+
+def _term(read: _Reader, data: Any, model: Model) -> Term:
     if not isinstance(data, Mapping) or "kind" not in data:
         raise read.fail("[[effect]]", 'a table with kind = "…"', data)
     effect = get_effect(str(data["kind"]))
     where = f"[[effect]] {effect.name}"
     read.only(data, ("kind", "joint", *(parameter.name for parameter in effect.parameters)), where)
     joint = data.get("joint", 1)
-    if not isinstance(joint, int) or isinstance(joint, bool) or not 1 <= joint <= joints:
-        raise read.fail(f"{where} joint", f"1 … {joints}", joint)
+    if not isinstance(joint, int) or isinstance(joint, bool) or not 1 <= joint <= model.joints:
+        raise read.fail(f"{where} joint", f"1 … {model.joints}", joint)
+    data = _with_links(data, model, joint)
     values: dict[str, Quantity] = {}
     for parameter in effect.parameters:
         raw = data.get(parameter.name)
@@ -411,7 +426,9 @@ def _term(read: _Reader, data: Any, joints: int) -> Term:
             raw = {"value": parameter.choices.index(raw), "free": False}
         if raw is None:
             if parameter.default is None:
-                raise ModelError(f"{read.path}: {where} lacks {parameter.name!r}")
+                raise ModelError(
+                    f"{read.path}: {where} lacks {parameter.name!r}: {parameter.meaning}"
+                )
             values[parameter.name] = Quantity(parameter.default, free=False)
             continue
         quantity = read.quantities(f"{where} {parameter.name}", raw)[0]

@@ -103,6 +103,13 @@ def recorded_tree(model: Model, joints: int) -> tuple[list[Body], Array]:
     return bodies, gravity
 
 
+def links_inertia(model: Model, joint: int) -> float:
+    """What a joint of a robot's file turns with all joints at zero, its rotor aside, kg m^2 (kg).
+    """
+    bodies, _ = robot_tree(model)
+    return float(own_inertias(bodies, np.zeros((1, len(bodies))))[0, joint - 1])
+
+
 def bias_slope(
     model: Model, motion: list[Array], joint: int, values: Mapping[str, float]
 ) -> Array:
