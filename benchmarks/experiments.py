@@ -175,7 +175,8 @@ def section(name: str, kept: Mapping[str, list[Any]]) -> str:
             lines.append(
                 f"| {key.replace('_', ' ')} | {truth:.4g} | {value.mean():.4g} |"
                 f" {value.std(ddof=1):.2g} | {std.mean():.2g} |"
-                f" {(value.mean() - truth) / std.mean():+.2f} | {100 * inside.mean():.1f} % |"
+                f" {(value.mean() - truth) / std.mean():+.2f} | {100 * inside.mean():.1f} % of"
+                f" {len(inside)} |"
             )
     note = f" ({EXPERIMENTS[name].note})" if name in EXPERIMENTS and EXPERIMENTS[name].note else ""
     fewest, most = min(times), max(times)
