@@ -163,9 +163,10 @@ def test_a_bar_that_may_not_go_round_is_measured_and_swung_within_its_range(
         lab = Lab(tmp_path, target)
         found = run_experiment("mechanical", lab)
         # of the file, by mujoco: 0.8 kg on 0.15 m; the capsule's caps belong to the inertia
-        truth = {"inertia1": 0.026569, "weight_sine1": 1.1772, "weight_cosine1": 0.0,
-                 "coulomb1": 0.15, "viscous1": 0.03}  # fmt: skip
+        truth = {"inertia1": 0.026569, "weight_sine1": 1.1772, "coulomb1": 0.15, "viscous1": 0.03}
         near(found.values, truth, 0.03)
+        # 0.0012 N m from copy to copy, of which 0.0016 to 0.0036 are stated
+        near(found.values, {"weight_cosine1": 0.0}, 0.05)
         assert found.mechanism["gravity"].value == found.values["weight_sine1"].value
         swung = run_experiment("swing", lab).values
         assert swung["closed_loop_final_error"].value < 0.05

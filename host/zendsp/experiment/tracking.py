@@ -160,7 +160,7 @@ def _simulated(plan: Plan, rec: Recording, reference: Reference) -> Recording:
     they were on the machine: it may take some from what that declares.
     """
     parameters = {
-        k: v for k, v in rec.parameters.items() if k in ("J", "approach_time")
+        k: v for k, v in rec.parameters.items() if k in ("J", "carried", "approach_time")
     } | {"approach_time": BEFORE}
     return simulate(
         plan.program, plan.model, reference=reference, parameters=parameters, channels=CHANNELS,
