@@ -15,7 +15,7 @@ from reality import RATE
 import zendsp
 from zendsp.diagnosis.data.prepare import at_their_poses, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
-from zendsp.diagnosis.explain import joints, machine
+from zendsp.diagnosis.explain import linked, machine
 from zendsp.diagnosis.measure.discrepancy import Size, noise
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, with_ties
@@ -201,7 +201,7 @@ def test_only_claimed_transmissions_change_an_unseen_links_motion() -> None:
             for j, m in claims
         ]
 
-    unseen = joints._unseen
+    unseen = linked._unseen
     assert unseen(decided((1, "transmission"), (2, "transmission")), "transmission") == {1}
     assert unseen(decided((1, "measurement")), "transmission") == frozenset()
     assert unseen(decided((1, "measurement")), "transmission", "measurement") == {1}

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.explain import joints
+from zendsp.diagnosis.explain import linked
 
 GIVEN: Any = SimpleNamespace(terms=())  # in which every sensor shows its link
 
@@ -36,21 +36,24 @@ def felt(monkeypatch: pytest.MonkeyPatch) -> dict[frozenset[int], tuple[Any, flo
     """For the joints whose links are felt: the explanation, and its error. Filled by a test."""
     answers: dict[frozenset[int], tuple[Any, float]] = {}
     both = frozenset({1, 2})
-    monkeypatch.setattr(joints, "divided", lambda model: frozenset() if model is GIVEN else both)
-    monkeypatch.setattr(joints, "with_links", lambda _, __, felt: _Parts(choose=felt, felt=felt))
-    monkeypatch.setattr(joints, "with_bodies", lambda parts, _: parts)
-    monkeypatch.setattr(joints, "explain", lambda parts, *_: answers[parts.felt][0])
+    monkeypatch.setattr(linked, "divided", lambda model: frozenset() if model is GIVEN else both)
+    monkeypatch.setattr(
+        linked, "with_links", lambda _, __, felt: _Parts(fit=None, choose=felt, felt=felt)
+    )
+    monkeypatch.setattr(linked, "is_chain", lambda *_: False)
+    monkeypatch.setattr(linked, "with_bodies", lambda parts, _: parts)
+    monkeypatch.setattr(linked, "explain", lambda parts, *_: answers[parts.felt][0])
 
     def cost(felt: frozenset[int], decisions: list[Any]) -> tuple[int, float]:
         return sum(len(d.claims) for d in decisions), answers[felt][1]
 
-    monkeypatch.setattr(joints, "_cost", cost)
+    monkeypatch.setattr(linked, "_cost", cost)
     return answers
 
 
 def _ask(first: Any) -> tuple[Any, Any]:
-    parts: Any = _Parts(choose=frozenset(), felt=frozenset())
-    return joints.with_their_links(parts, parts, GIVEN, GIVEN, first, 1, lambda _: None)
+    parts: Any = _Parts(fit=None, choose=frozenset(), felt=frozenset())
+    return linked.with_their_links(parts, parts, GIVEN, GIVEN, first, 1, lambda _: None)
 
 
 def test_a_link_that_explains_worse_does_not_hide_one_that_explains_better(felt: Any) -> None:

@@ -11,7 +11,7 @@ import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import replace
 from types import MappingProxyType
@@ -26,7 +26,6 @@ from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict
 from zendsp.diagnosis.decide.law_torque import rms_torque
 from zendsp.diagnosis.decide.notes import MADE_WORSE
-from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.explain.one_joint import explain_joint, upon_ripples
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
@@ -34,10 +33,8 @@ from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import JointSearch
-from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.parent import die_with
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 LOOK_S = 0.5  # interval of checks on the processes of the joints
@@ -76,88 +73,6 @@ def findings_at(test: Data, given: Model, explained: Explained) -> int:
         for d in decisions
     )
     return at_joints + bodies_wrong(given, whole.improved)
-
-
-def with_their_links(
-    measured_motion: Parts,
-    parts: Parts,
-    given: Model,
-    beneath: Model,
-    first: Explained,
-    jobs: int,
-    tell: Progress,
-) -> tuple[Parts, Explained]:
-    """The explanation, repeated where a joint was found to have a transmission or a sensor error.
-
-    Other joints feel the true motion of its link, and otherwise have to explain it by something of
-    their own. The joints are taken one after the other, each time the one that explains the machine
-    best, as long as that claims no more and predicts no worse. A link counts, too, whose joint was
-    given up because the whole machine predicted worse with it.
-    """
-    felt, now, explained = divided(beneath), parts, first
-    while found := _unseen(_proposed(explained), "transmission", "measurement") - felt:
-        tell(Step.ASSEMBLING.says("the links that nobody sees: what the other joints feel"))
-        tried, proposed = [], _proposed(explained)
-        for joint in found:
-            searched, decision = explained[0][joint - 1], proposed[joint - 1]
-            stands = decision is explained[1][joint - 1]
-            improved = explained[2].improved
-            model = improved if stands else _with_joint(improved, decision)
-            with_it = with_links(measured_motion, model, felt | {joint})
-            same = {joint: (searched, decision)}
-            again = explain(with_bodies(with_it, beneath), given, beneath, jobs, tell, same)
-            tried.append((_cost(with_it.choose, again[1]), joint, with_it, again))
-        claims, error = sum(len(d.claims) for d in proposed), _cost(now.choose, explained[1])[1]
-        fit = [t for t in tried if t[0][0] <= claims and t[0][1] <= error]
-        if not fit:
-            break
-        best = min(fit, key=lambda t: t[0])
-        felt, now, explained = felt | {best[1]}, best[2], best[3]
-    swinging = _unseen(explained[1], "transmission")
-    # the motion within a measured gap depends on the last digits of its numbers
-    gaps = {t.joint for t in beneath.terms[len(given.terms) :] if get_effect(t.effect).rough}
-    calm = [
-        unpushed(d)
-        if d.kind == Verdict.DISTURBANCE and (swinging - {d.joint} or d.joint in gaps)
-        else d
-        for d in explained[1]
-    ]
-    return now, (explained[0], calm, explained[2])
-
-
-def _proposed(explained: Explained) -> list[Decision]:
-    """The decisions of an explanation, also where the whole machine spoke against one: what others
-    feel of a link may be the reason.
-    """
-    return [d.given_up or d for d in explained[1]]
-
-
-def _with_joint(model: Model, decision: Decision) -> Model:
-    """The improved model with what a decision that was given up has at its joint."""
-    others = (t for t in model.terms if t.joint != decision.joint)
-    return model.with_terms((*others, *decision.final.model.at(decision.joint)))
-
-
-def _unseen(decisions: Sequence[Decision], *mechanisms: str) -> frozenset[int]:
-    """The joints whose link has no sensor and for which one of some mechanisms is claimed."""
-    return frozenset(
-        d.joint
-        for d in decisions
-        if any(c.mechanism in mechanisms for c in d.claims)
-        and d.joint in divided(d.final.model)
-    )
-
-
-def _cost(choose: Data, decisions: Sequence[Decision]) -> tuple[int, float]:
-    """The count of an explanation's claims, and its position error on the recordings to choose by.
-    (A likelihood would not count what its observer follows.)
-    """
-    away = 0.0
-    for decision in decisions:
-        error = rms(window_error(choose, decision.final.model, decision.joint))
-        read = max(error, noise_floor(choose, decision.joint))
-        away += math.log(read) if read > 0.0 else 0.0  # no data is left there
-    return sum(len(d.claims) for d in decisions), away
 
 
 def explain(

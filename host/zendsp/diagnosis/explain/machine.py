@@ -36,8 +36,8 @@ from zendsp.diagnosis.explain.joints import (
     not_searched,
     plainer,
     with_bodies,
-    with_their_links,
 )
+from zendsp.diagnosis.explain.linked import with_their_links
 from zendsp.diagnosis.explain.one_joint import decided_again, upon_ripples, with_fine_ripples
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.likelihood import calibrate_joint

@@ -12,6 +12,7 @@ import numpy as np
 
 from zendsp.diagnosis.data.prepare import within_samples
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.transmission.arm_motion import arm_motion, is_chain, with_springs_at
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import run
@@ -46,7 +47,8 @@ def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
     """The recordings, in which every joint feels the links of some others instead of their recorded
     positions.
 
-    A link moves as its own sensor says, or as the observer of its joint estimates with ``model``.
+    A link moves as its own sensor says; or, behind springs, as ``model`` and the encoders of the
+    whole arm say together (``arm_motion``); or else as the observer of its joint estimates.
 
     Parameters
     ----------
@@ -69,6 +71,11 @@ def _with_links(data: Data, model: Model, joints: Collection[int]) -> Data:
 
 def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Records:
     """One recording with such links; a joint's own motor stays as recorded."""
+    if is_chain(data, model, joints):
+        model = with_springs_at(model, joints)
+        arm = arm_motion(rec, data, model)
+        if arm is not None:
+            return _moved(rec, model, arm.links, arm.chain.felt_errors(arm.strength))
     links = rec[0].others.copy()
     side: Literal["seen", "beyond"] = "seen" if model.sensor.side == "load" else "beyond"
     for joint in joints:
@@ -85,6 +92,17 @@ def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Re
         assert link.q is not None and link.qd is not None
         rate = np.gradient(link.qd, record.sample_time)
         links[joint - 1] = within_samples(np.stack([link.q, link.qd, rate]), record.sample_time)
+    felt = _moved(rec, model, links)
+    return tuple(
+        record if set(joints) <= {record.joint} else new
+        for record, new in zip(rec, felt, strict=True)
+    )
+
+
+def _moved(rec: Records, model: Model, links: Array, beside: Array | None = None) -> Records:
+    """One recording whose links move otherwise than recorded, (joints, 3, n). ``beside``: one draw
+    of the torques that errors of that motion make, (joints, n).
+    """
     out = []
     for j, record in enumerate(rec):
         others = links.copy()
@@ -95,11 +113,10 @@ def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Re
                 others=np.ascontiguousarray(others),
                 basis=bases(model, list(others))[j],
                 links=None if record.links is None else replace(record.links, motion=others),
+                beside=record.beside if beside is None else np.ascontiguousarray(beside[j]),
                 _thinned=None,
                 _once={},
             )
-            if not set(joints) <= {j + 1}
-            else record
         )
     return tuple(out)
 

@@ -60,6 +60,11 @@ void zf_gains(int n, double T, const double *sa, const double *R, double *k1, do
 double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
                  double q0, double v0, double *work, double *out, double *var);
 void zf_swing(int n, double T, double first, double second, const double *a, double *place);
+typedef struct {
+    int n; int d; int c; int m; int every; const double *A; const double *G; const double *f; const double *s2;
+    const double *value; const double *half; const double *R; const int *at; const double *x0; const double *p0;
+} zf_chain;
+double zf_smooth_chain(const zf_chain *C, double *work, double *out);
 """  # noqa: E501
 
 LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
@@ -144,7 +149,8 @@ def source_text(effects: dict[str, Effect]) -> str:
         observer = observer.replace(f"/* EFFECT_CASES_{mark} */", "\n".join(lines))
     observer = observer.replace("/* EFFECT_FUNCTIONS */", "\n".join(functions))
     kernel = (folder / "kernel.c").read_text().replace("/* OBSERVER */", observer)
-    return f"#define MANY {LANES}\n" + kernel + (folder / "filter.c").read_text()
+    smoothers = "".join((folder / name).read_text() for name in ("filter.c", "chain.c"))
+    return f"#define MANY {LANES}\n" + kernel + smoothers
 
 
 def _by_power(call: str, effect: Effect) -> str:

@@ -1,0 +1,186 @@
+"""Explains joints again where others were found to have a transmission: they feel its link."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.pushes import unpushed
+from zendsp.diagnosis.explain.joints import Done, Explained, explain, with_bodies
+from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
+from zendsp.diagnosis.progress import Progress, Step
+from zendsp.diagnosis.transmission.arm_chain import springs_of
+from zendsp.diagnosis.transmission.arm_motion import is_chain
+from zendsp.diagnosis.transmission.links import divided, with_links
+from zendsp.diagnosis.transmission.other_springs import with_other_spring
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect
+from zendsp.physics.model import Model
+
+# Springs and the motion that others feel are estimated in turns, until no stiffness moves by more
+# than this part. A soft spring of an arm went from 107 to 104, 97.9 and 97.6 N m/rad (true: 97.2).
+STIFFNESS_MOVED, IN_TURNS = 0.01, 3
+
+
+@dataclass(frozen=True)
+class _Machine:
+    """What stays the same while links are explained."""
+
+    measured_motion: Parts
+    given: Model
+    beneath: Model
+    jobs: int
+    tell: Progress
+
+
+@dataclass(frozen=True)
+class _Felt:
+    """An explanation in which the links of some joints are felt by the others."""
+
+    joints: frozenset[int]
+    parts: Parts
+    explained: Explained
+
+    @property
+    def proposed(self) -> list[Decision]:
+        """The decisions, also where the whole machine spoke against one: what others feel of a
+        link may be the reason.
+        """
+        return [d.given_up or d for d in self.explained[1]]
+
+    @property
+    def cost(self) -> tuple[int, float]:
+        """The count of claims, and the position error on the recordings to choose by."""
+        return _cost(self.parts.choose, self.explained[1])
+
+
+def with_their_links(
+    measured_motion: Parts,
+    parts: Parts,
+    given: Model,
+    beneath: Model,
+    first: Explained,
+    jobs: int,
+    tell: Progress,
+) -> tuple[Parts, Explained]:
+    """The explanation, repeated where a joint was found to have a transmission or a sensor error.
+
+    Other joints feel the true motion of its link, and otherwise have to explain it by something of
+    their own. The joints are taken one after the other, each time the one that explains the machine
+    best, as long as that claims no more and predicts no worse; a spring of another joint that it
+    hid may be one claim more. A link counts, too, whose joint was given up because the whole
+    machine predicted worse with it.
+    """
+    machine = _Machine(measured_motion, given, beneath, jobs, tell)
+    now = _Felt(divided(beneath), parts, first)
+    while found := _unseen(now.proposed, "transmission", "measurement") - now.joints:
+        tell(Step.ASSEMBLING.says("the links that nobody sees: what the other joints feel"))
+        tried = [_with_link(machine, now, joint) for joint in found]
+        claims, error = sum(len(d.claims) for d in now.proposed), now.cost[1]
+        fit = [
+            t
+            for t in tried
+            if t.cost[0] < claims + len(t.joints - now.joints) and t.cost[1] <= error
+        ]
+        if not fit:
+            break
+        now = min(fit, key=lambda t: t.cost)
+    explained = now.explained
+    swinging = _unseen(explained[1], "transmission")
+    # the motion within a measured gap depends on the last digits of its numbers
+    gaps = {t.joint for t in beneath.terms[len(given.terms) :] if get_effect(t.effect).rough}
+    calm = [
+        unpushed(d)
+        if d.kind == Verdict.DISTURBANCE and (swinging - {d.joint} or d.joint in gaps)
+        else d
+        for d in explained[1]
+    ]
+    return now.parts, (explained[0], calm, explained[2])
+
+
+def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
+    """The explanation in which others feel the link of one more joint. Behind a spring all joints
+    are explained again, since that moved as it fitted to accelerations that were wrong.
+    """
+    decision, improved = now.proposed[joint - 1], now.explained[2].improved
+    stands = decision is now.explained[1][joint - 1]
+    model = improved if stands else _with_joint(improved, decision)
+    joints = now.joints | {joint}
+    if not is_chain(now.parts.fit, model, joints):
+        parts = with_links(machine.measured_motion, model, joints)
+        kept = now.explained[0][joint - 1], decision
+        return _Felt(joints, parts, _explain(machine, parts, {joint: kept}))
+    other = with_other_spring(now.parts.fit, model, joints)
+    if other is not None:
+        both = joints | frozenset(springs_of(other))
+        found = _in_turns(machine, other, both)
+        if both <= _unseen(found.proposed, "transmission") | divided(machine.beneath):
+            return found
+    return _in_turns(machine, model, joints)
+
+
+def _in_turns(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
+    """The explanation of an arm with springs at some joints: these, and the motion that others feel
+    of them, in turns.
+    """
+    parts = with_links(machine.measured_motion, model, joints)
+    now = _Felt(joints, parts, _explain(machine, parts, {}))
+    for _ in range(IN_TURNS):
+        after = now.explained[2].improved
+        if not is_chain(now.parts.fit, after, joints) or not _moved(model, after, joints):
+            break
+        parts = with_links(machine.measured_motion, after, joints)
+        kept = {
+            d.joint: (s, d)
+            for s, d in zip(*now.explained[:2], strict=True)
+            if d.joint not in joints
+        }
+        other = _Felt(joints, parts, _explain(machine, parts, kept))
+        if other.cost > (now.cost[0], _cost(parts.choose, now.explained[1])[1]):
+            break
+        model, now = after, other
+    return now
+
+
+def _moved(before: Model, after: Model, joints: frozenset[int]) -> bool:
+    """Whether a stiffness has moved."""
+    was, now = springs_of(before), springs_of(after)
+    ratios = (now[j].value("stiffness") / was[j].value("stiffness") for j in joints)
+    return any(abs(ratio - 1.0) > STIFFNESS_MOVED for ratio in ratios)
+
+
+def _explain(machine: _Machine, parts: Parts, known: Done) -> Explained:
+    m = machine
+    return explain(with_bodies(parts, m.beneath), m.given, m.beneath, m.jobs, m.tell, known)
+
+
+def _with_joint(model: Model, decision: Decision) -> Model:
+    """The improved model with what a decision that was given up has at its joint."""
+    others = (t for t in model.terms if t.joint != decision.joint)
+    return model.with_terms((*others, *decision.final.model.at(decision.joint)))
+
+
+def _unseen(decisions: Sequence[Decision], *mechanisms: str) -> frozenset[int]:
+    """The joints whose link has no sensor and for which one of some mechanisms is claimed."""
+    return frozenset(
+        d.joint
+        for d in decisions
+        if any(c.mechanism in mechanisms for c in d.claims)
+        and d.joint in divided(d.final.model)
+    )
+
+
+def _cost(choose: Data, decisions: Sequence[Decision]) -> tuple[int, float]:
+    """The count of an explanation's claims, and its position error on the recordings to choose by.
+    (A likelihood would not count what its observer follows.)
+    """
+    away = 0.0
+    for decision in decisions:
+        error = rms(window_error(choose, decision.final.model, decision.joint))
+        read = max(error, noise_floor(choose, decision.joint))
+        away += math.log(read) if read > 0.0 else 0.0  # no data is left there
+    return sum(len(d.claims) for d in decisions), away

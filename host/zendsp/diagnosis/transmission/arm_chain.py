@@ -1,0 +1,334 @@
+"""An arm with springs as one linear system along its motion: motors, links, springs, and the mass
+matrix between the links.
+
+The motion as known so far gives what is not linear: the mass matrix, the weight, the friction.
+Torques at motors and links that nobody knows, white noise, stand for what the model lacks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.prepare import POSES, within_samples
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.observed import sensed, trace
+from zendsp.physics.calibration.predict import run
+from zendsp.physics.effects import get_effect
+from zendsp.physics.kernel.native import native
+from zendsp.physics.kernel.signals import Array
+from zendsp.physics.kernel.smooth import widened
+from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.robots.rigid import bases
+from zendsp.physics.term_numbers import added_inertia
+
+Records = tuple[JointRecord, ...]
+MOTORS_PART = (0.02, 0.98)  # of a joint's inertia: the bounds of the kernel's ``share_inertia``
+# A motor may stand that is slower than so many standard deviations of the smoothed speed, and so
+# long before and after, s: smoothing rounds off the stop
+MAY_STAND, AROUND_A_STOP = 3.0, 0.01
+# of the first state: sensor errors, of a position; parts of a joint's usual speed and torque
+FIRST_POSITION, FIRST_SPEED, FIRST_TORQUE = 10.0, 0.3, 0.3
+STRENGTHS = (1e-6, 1e2)  # limits of unknown torques, as parts of the usual ones
+# friction and the like: what else a joint has is a torque of the actuator, or no torque
+OF_MOTION = ("torque", "load", "viscous", "dry", "scale", "dry_scale")
+
+
+@dataclass(frozen=True)
+class Chain:
+    """One recording of an arm. States: positions of the motors, of the links behind springs, then
+    the speeds of both; torques act at each.
+
+    Attributes
+    ----------
+    masses : ndarray, shape (poses, joints, joints)
+        Of the links, one every ``every`` rows.
+    A, G : ndarray, shapes (poses, states, states), (poses, states, torques)
+        x(k + 1) = A x(k) + G f(k)
+    torques : ndarray, shape (n, torques)
+        Known ones.
+    unsure : ndarray, shape (n, torques)
+        Variance of dry friction where a motor may stand, (N m)² or N².
+    links : ndarray, shape (joints,)
+        The place of each joint's link among the positions.
+    usual : ndarray, shape (torques,)
+        The RMS torque of the joints.
+    """
+
+    masses: Array
+    A: Array
+    G: Array
+    torques: Array
+    unsure: Array
+    seen: tuple[Array, Array, Array]  # value, half, variance, (n, joints) each
+    start: tuple[Array, Array]  # first state and its variances
+    links: npt.NDArray[np.intp]
+    usual: Array
+    sample_time: float
+    every: int
+
+    def smoothed(self, strength: Array) -> tuple[float, Array]:
+        """-2 log-likelihood and states (n, states), where unknown torques are ``strength`` parts of
+        the usual ones, (torques,).
+        """
+        return self._smoothed(strength, self.torques, self.seen[0], self.start[0])
+
+    def link_motion(self, states: Array) -> Array:
+        """Motion of the links within samples, (joints, 3, n)."""
+        speeds = states[:, self.links + len(self.usual)]
+        rate = np.gradient(speeds, self.sample_time, axis=0)
+        motion = np.stack([states[:, self.links], speeds, rate])
+        return np.stack([within_samples(m.T, self.sample_time) for m in motion.transpose(2, 1, 0)])
+
+    def felt_errors(self, strength: Array) -> Array:
+        """Torques at each joint that errors of the others' smoothed accelerations make, (joints,
+        n): one draw (Durbin and Koopman 2002).
+        """
+        rng, n = np.random.default_rng(0), len(self.torques)
+        known = np.zeros_like(self.torques)
+        pushes = np.sqrt(self._variances(strength)) * rng.standard_normal(known.shape)
+        pose = np.arange(n) // self.every
+        moved = np.einsum("kij,kj->ki", self.G[pose], pushes)
+        states = np.empty((n, len(self.start[0])))
+        states[0] = np.sqrt(self.start[1]) * rng.standard_normal(states.shape[1])
+        for k in range(n - 1):
+            states[k + 1] = self.A[pose[k]] @ states[k] + moved[k]
+        _, half, variance = self.seen
+        noise = np.sqrt(np.maximum(variance, 0.0)) * rng.standard_normal(half.shape)
+        value = states[:, : half.shape[1]] + noise
+        _, found = self._smoothed(strength, known, value, 0.0 * self.start[0])
+        off = self.link_motion(found - states)[:, 2]
+        between = self.masses * (1.0 - np.eye(len(off)))
+        return np.asarray(np.einsum("kij,jk->ik", between[pose], off))
+
+    def _variances(self, strength: Array) -> Array:
+        return np.ascontiguousarray(self.unsure + (strength * self.usual) ** 2)
+
+    def _smoothed(
+        self, strength: Array, torques: Array, value: Array, first: Array
+    ) -> tuple[float, Array]:
+        lib = native()
+        p, ffi = lib.doubles, lib.ffi
+        (n, c), d, m = torques.shape, len(first), value.shape[1]
+        s2, at = self._variances(strength), np.arange(m, dtype=np.int32)
+        z = ffi.new("zf_chain *")
+        z.n, z.d, z.c, z.m, z.every = n, d, c, m, self.every
+        z.A, z.G, z.f, z.s2 = p(self.A), p(self.G), p(torques), p(s2)
+        value = np.ascontiguousarray(value)
+        z.value, z.half, z.R = p(value), p(self.seen[1]), p(self.seen[2])
+        z.at, z.x0, z.p0 = ffi.cast("int *", ffi.from_buffer(at)), p(first), p(self.start[1])
+        work, out = np.empty(n * (m * (d + 2) + d) + 3 * d * d), np.empty((n, d))
+        return float(lib.lib.zf_smooth_chain(z, p(work), p(out))), out
+
+
+def springs_of(model: Model) -> dict[int, Term]:
+    """The transmission of each joint (1-based) that has one."""
+    return {t.joint: t for t in model.terms if get_effect(t.effect).family == "transmission"}
+
+
+def chain_along(rec: Records, data: Data, model: Model, motion: Array) -> Chain | None:
+    """An arm along the motion of its links as known so far, (joints, 3, n); None where the numbers
+    of the model are those of no body.
+    """
+    sample_time = rec[0].sample_time
+    every = max(1, round(POSES / sample_time))
+    springs = springs_of(model)
+    links = np.arange(len(rec))
+    for i, joint in enumerate(springs):
+        links[joint - 1] = len(rec) + i
+    masses = masses_along(rec, model, motion[:, :, ::every])
+    whole = _with_motors(rec, model, masses, links)
+    if not np.all(np.isfinite(whole)) or not np.linalg.eigvalsh(whole).min() > 0.0:
+        return None
+    A, G = _discrete(whole, springs, links, sample_time)
+    torques, unsure = _torques(rec, data, model, motion, links)
+    shift = [per_joint(model.sensor.offset, r.joint, 0.0) - r.base_offset for r in rec]
+    value, half, variance = (
+        np.ascontiguousarray(np.stack([getattr(r.measurement, name) for r in rec], axis=1))
+        for name in ("value", "half", "variance")
+    )
+    value += np.array(shift) - np.stack([_sensor_error(r, model) for r in rec], axis=1)
+    usual = np.array([r.scale.torque for r in rec] + [rec[j - 1].scale.torque for j in springs])
+    start = _start(rec, springs, links, value[0], torques[0])
+    return Chain(
+        masses, A, G, torques, unsure, (value, half, variance), start, links, usual, sample_time,
+        every,
+    )  # fmt: skip
+
+
+def rigid_along(rec: Records, model: Model, motion: Array) -> list[tuple[Array, Array]]:
+    """Inertia and bias of each joint along a motion of all links, (joints, 3, m)."""
+    base, nothing = bases(model, list(motion)), np.zeros(motion.shape[2])
+    return [
+        replace(
+            r, command=nothing, others=motion, basis=b, first=0, every=1, _thinned=None, _once={},
+            links=None if r.links is None else replace(r.links, motion=motion),
+        ).inertia_and_bias(model)
+        for r, b in zip(rec, base, strict=True)
+    ]  # fmt: skip
+
+
+def masses_along(rec: Records, model: Model, motion: Array) -> Array:
+    """Mass matrices of the links at the poses of a motion, (m, joints, joints)."""
+    still = motion.copy()
+    still[:, 1:] = 0.0
+    weight = rigid_along(rec, model, still)
+    out = np.empty((motion.shape[2], len(rec), len(rec)))
+    for i in range(len(rec)):
+        pushed = still.copy()
+        pushed[i, 2] = 1.0
+        for j, (inertia, bias) in enumerate(rigid_along(rec, model, pushed)):
+            out[:, j, i] = inertia if i == j else bias - weight[j][1]
+    return 0.5 * (out + out.transpose(0, 2, 1))
+
+
+def _with_motors(
+    rec: Records, model: Model, masses: Array, links: npt.NDArray[np.intp]
+) -> Array:
+    """Mass matrices of motors and links, (poses, torques, torques), shared as the kernel does."""
+    springs = springs_of(model)
+    size = len(rec) + len(springs)
+    whole = np.zeros((len(masses), size, size))
+    whole[:, links[:, None], links] = masses
+    for record in rec:
+        j, extra = record.joint, added_inertia(model, record.joint)
+        if j not in springs:
+            whole[:, j - 1, j - 1] += extra
+            continue
+        own = masses[:, j - 1, j - 1]
+        mean = springs[j].value("links_inertia") or record.reference_inertia(model, own)
+        load = springs[j].value("load_inertia") or 0.5 * mean
+        motor = np.clip(mean + extra - load, MOTORS_PART[0] * (own + extra), MOTORS_PART[1] * (own + extra))
+        whole[:, j - 1, j - 1] = motor
+        whole[:, links[j - 1], links[j - 1]] = own + extra - motor
+    return whole
+
+
+def _discrete(
+    whole: Array, springs: Mapping[int, Term], links: npt.NDArray[np.intp], sample_time: float
+) -> tuple[Array, Array]:
+    """A and G of a ``Chain`` whose torques are held over a sample."""
+    c, T = whole.shape[1], sample_time
+    inverse = np.linalg.inv(whole)
+    stiff, damping = np.zeros((c, c)), np.zeros((c, c))
+    for joint, term in springs.items():
+        twist = np.zeros(c)
+        twist[joint - 1], twist[links[joint - 1]] = 1.0, -1.0
+        stiff += term.value("stiffness") * np.outer(twist, twist)
+        damping += term.value("damping") * np.outer(twist, twist)
+    rate = np.zeros((len(whole), 3 * c, 3 * c))  # speeds a row: all is of one size
+    rate[:, :c, c : 2 * c] = rate[:, c : 2 * c, 2 * c :] = np.eye(c)
+    rate[:, c : 2 * c, :c] = -(T**2) * inverse @ stiff
+    rate[:, c : 2 * c, c : 2 * c] = -T * inverse @ damping
+    moved = _exponential(rate)
+    moved[:, :, 2 * c :] = moved[:, :, 2 * c :] @ (T**2 * inverse)
+    moved[:, :, c : 2 * c] *= T
+    moved[:, c : 2 * c] /= T
+    return tuple(  # type: ignore[return-value]
+        np.ascontiguousarray(part)
+        for part in (moved[:, : 2 * c, : 2 * c], moved[:, : 2 * c, 2 * c :])
+    )
+
+
+def _exponential(rate: Array) -> Array:
+    """exp of matrices, (..., d, d), by scaling and squaring."""
+    size = max(float(np.max(np.abs(rate).sum(axis=-1))), 1e-12)
+    halvings = max(0, math.ceil(math.log2(size / 0.5)))
+    rate = rate / 2.0**halvings
+    out = term = np.broadcast_to(np.eye(rate.shape[-1]), rate.shape)
+    for k in range(1, 10):  # 0.5^10 / 10!: rounding
+        term = term @ rate / k
+        out = out + term
+    for _ in range(halvings):
+        out = out @ out
+    return out
+
+
+def _torques(
+    rec: Records, data: Data, model: Model, motion: Array, links: npt.NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """The known torques of a ``Chain``, and the variance of dry friction where a motor may stand.
+    """
+    still = motion.copy()
+    still[:, 2] = 0.0
+    torques = np.zeros((rec[0].n, len(rec) + len(springs_of(model))))
+    unsure = np.zeros_like(torques)
+    rigid = rigid_along(rec, model, still)
+    for j, record in enumerate(rec):
+        torques[:, links[j]] -= rigid[j][1]
+        states = within_samples(record.motion.states, record.sample_time)
+        band = data.bandwidth[j]
+        driven = run(record, model, band, inner=data.inner, states="seen").torque
+        assert driven is not None
+        torques[:, j] += driven
+        terms = tuple(t for t in model.at(j + 1) if get_effect(t.effect).site in OF_MOTION)
+        if not terms:
+            continue
+        slow = MAY_STAND * float(np.sqrt(np.median(record.motion.variances[1])))
+        moving = replace(record, motion=replace(record.motion, states=states))
+        torques[:, j] -= trace(moving, model, terms, 0.1 * slow)
+        level = sum(t.value("level") for t in terms if get_effect(t.effect).site == "dry")
+        around = round(AROUND_A_STOP / record.sample_time)
+        unsure[:, j] = level**2 * widened(np.abs(states[1]) < slow, around)
+    return torques, unsure
+
+
+def _sensor_error(record: JointRecord, model: Model) -> Array:
+    """The error that the position sensor adds to the measured motion, (n,)."""
+    terms = tuple(t for t in model.at(record.joint) if get_effect(t.effect).at_sensor)
+    return sensed(record, terms) if terms else np.zeros(record.n)
+
+
+def _start(
+    rec: Records,
+    springs: Mapping[int, Term],
+    links: npt.NDArray[np.intp],
+    position: Array,
+    torques: Array,
+) -> tuple[Array, Array]:
+    """The first state and its variances: springs hang as they bear the weight, or otherwise."""
+    c = len(torques)
+    first, variance = np.zeros(2 * c), np.zeros(2 * c)
+    for j, record in enumerate(rec):
+        for i in {j, int(links[j])}:
+            first[i], first[c + i] = position[j], record.motion.states[1, 0]
+            variance[i] = (FIRST_POSITION * record.measurement.std) ** 2
+            variance[c + i] = (FIRST_SPEED * record.scale.speed) ** 2
+        if j + 1 in springs:
+            stiffness = springs[j + 1].value("stiffness")
+            bent = torques[links[j]] / stiffness
+            first[links[j]] += bent
+            variance[links[j]] += bent**2 + (FIRST_TORQUE * record.scale.torque / stiffness) ** 2
+    return first, variance
+
+
+def strongest(
+    chain: Chain, begin: npt.NDArray[np.floating[Any]], steps: Sequence[float]
+) -> Array:
+    """The likeliest strengths of unknown torques, (torques,): all alike, the best of ``begin``,
+    then each by factors of ``steps``. ``begin`` of (torques,) in rows: each as it is.
+    """
+    asked: dict[tuple[float, ...], float] = {}
+    c = len(chain.usual)
+
+    def ask(strength: Array) -> float:
+        key = tuple(strength)
+        if key not in asked:
+            value = chain.smoothed(strength)[0]
+            asked[key] = value if math.isfinite(value) else math.inf
+        return asked[key]
+
+    best = min((np.broadcast_to(s, c) for s in np.asarray(begin)), key=ask)
+    for step in steps:
+        for i in range(c):
+            own = step ** np.eye(c)[i]
+            for other in (best * own, best / own):
+                while ask(other) < ask(best) - 1.0 and STRENGTHS[0] < other[i] < STRENGTHS[1]:
+                    best, other = other, other * (other / best)
+    return np.array(best)
