@@ -114,13 +114,16 @@ def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
         parts = with_links(machine.measured_motion, model, joints)
         kept = now.explained[0][joint - 1], decision
         return _Felt(joints, parts, _explain(machine, parts, {joint: kept}))
-    other = with_other_spring(now.parts.fit, model, joints)
-    if other is not None:
-        both = joints | frozenset(springs_of(other))
-        found = _in_turns(machine, other, both)
-        if both <= _unseen(found.proposed, "transmission") | divided(machine.beneath):
-            return found
-    return _in_turns(machine, model, joints)
+    alone = _in_turns(machine, model, joints)
+    after = alone.explained[2].improved
+    other = with_other_spring(
+        alone.parts.fit, after if is_chain(alone.parts.fit, after, joints) else model, joints
+    )
+    if other is None:
+        return alone
+    both = _in_turns(machine, other, joints | frozenset(springs_of(other)))
+    claimed = _unseen(both.proposed, "transmission") | divided(machine.beneath)
+    return both if both.joints <= claimed and both.cost[1] < alone.cost[1] else alone
 
 
 def _in_turns(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
@@ -140,7 +143,7 @@ def _in_turns(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
             if d.joint not in joints
         }
         other = _Felt(joints, parts, _explain(machine, parts, kept))
-        if other.cost > (now.cost[0], _cost(parts.choose, now.explained[1])[1]):
+        if other.cost > now.cost:
             break
         model, now = after, other
     return now

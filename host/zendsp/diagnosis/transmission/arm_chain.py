@@ -201,12 +201,13 @@ def _with_motors(
         if j not in springs:
             whole[:, j - 1, j - 1] += extra
             continue
-        own = masses[:, j - 1, j - 1]
-        mean = springs[j].value("links_inertia") or record.reference_inertia(model, own)
+        bodies = masses[:, j - 1, j - 1]
+        mean = springs[j].value("links_inertia") or record.reference_inertia(model, bodies)
         load = springs[j].value("load_inertia") or 0.5 * mean
-        motor = np.clip(mean + extra - load, MOTORS_PART[0] * (own + extra), MOTORS_PART[1] * (own + extra))
+        own = bodies + extra
+        motor = np.clip(mean + extra - load, *np.outer(MOTORS_PART, own))
         whole[:, j - 1, j - 1] = motor
-        whole[:, links[j - 1], links[j - 1]] = own + extra - motor
+        whole[:, links[j - 1], links[j - 1]] = own - motor
     return whole
 
 
