@@ -44,7 +44,7 @@ def sums(torque: float, rng: np.random.Generator) -> Any:
 def sureness(torque: float, seed: int) -> float:
     """How sure the body's column is, estimated on one recording, to beat nothing on another."""
     rng = np.random.default_rng(seed)
-    layout: Any = SimpleNamespace(joints=1, width=NUISANCE + 1, own=NUISANCE + 1)
+    layout: Any = SimpleNamespace(rotors=True, joints=1, width=NUISANCE + 1, own=NUISANCE + 1)
     solver = Solver(sums(torque, rng), sums(torque, rng), layout, LIMITS)
     gram = solver.rest[0]
     found = np.zeros((1, layout.width))
@@ -70,7 +70,7 @@ def test_friction_that_the_fit_does_not_know_hides_no_body() -> None:
     other[0, -1] = 300.0  # of the first nuisance
     choose.grams = other.T @ choose.grams @ other
     choose.whole = choose.grams.sum(axis=1)
-    layout: Any = SimpleNamespace(joints=1, width=NUISANCE + 1, own=NUISANCE + 1)
+    layout: Any = SimpleNamespace(rotors=True, joints=1, width=NUISANCE + 1, own=NUISANCE + 1)
     solver = Solver(fit, choose, layout, LIMITS)
     found = np.zeros((1, layout.width))
     found[0, NUISANCE] = 0.3
