@@ -15,6 +15,7 @@ from small_models import VISCOUS, data_of, model_of
 from zendsp.diagnosis import engine
 from zendsp.diagnosis.decide import absorbed, believed, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart
@@ -34,7 +35,7 @@ def term(effect: str, **numbers: float) -> Term:
 
 def fitted(terms: tuple[Term, ...], **std: float) -> Any:
     """A fit of terms, of which some numbers are so uncertain."""
-    model = SimpleNamespace(terms=terms, at=lambda _: terms)
+    model = SimpleNamespace(terms=terms, at=lambda _: terms, joint_kind=lambda _: "revolute")
     free = [(i, key) for i, t in enumerate(terms) for key in std if key in t.parameters]
     handles = [SimpleNamespace(place="term", index=i, key=key) for i, key in free]
     fit = SimpleNamespace(model=model, handles=handles, std=[std[key] for _, key in free])
@@ -116,9 +117,46 @@ def test_two_mechanisms_with_the_same_wave_are_not_both_claimed(
     spring = Claim(
         "lag", "actuator", term("lag", time_constant=0.01), 0.1, first.evidence, 1, {}, (), (), ()
     )
-    twins = patchwork.twins((first, spring, other))
+    final = fitted((first.term, spring.term, other.term), order=0.1)
+    twins = patchwork.twins((first, spring, other), final)
     assert [t.effect for t in twins] == ([first.effect, other.effect] if alike else [])
-    assert not patchwork.twins((first, wave("transmission_error", 19.97, 2.74e-3)))
+    assert not patchwork.twins((first, wave("transmission_error", 19.97, 2.74e-3)), final)
+
+
+@pytest.mark.parametrize(
+    ("order", "unsure", "travel", "twins"),
+    [(1.19, 0.03, 4.0, 2), (2.0, 0.03, 4.0, 0), (1.05, 0.03, 4.0, 0), (2.4, 0.03, 6.0, 0)],
+)
+def test_waves_that_the_travel_cannot_tell_apart_are_twins_where_one_is_no_whole_number_a_turn(
+    order: float, unsure: float, travel: float, twins: int
+) -> None:
+    """A torque that grew with place and speed squared was an eccentric encoder (65 %) beside a
+    transmission's error, 1.19 and 1.13 times a turn (seeds 2013 and 1912).
+    """
+    disc = claim("encoder_eccentricity", amplitude=0.04, phase=3.0)
+    other = wave("transmission_error", order, 0.015)
+    final = fitted((disc.term, other.term), order=unsure)
+    final.data.records[0][0].scale.position = travel
+    assert len(patchwork.twins((disc, other), final)) == twins
+
+
+@pytest.mark.parametrize(
+    ("order", "unsure", "sure"), [(4.998, 0.003, 0.63), (4.998, 0.03, 0.46), (4.9, 0.003, 0.46)]
+)
+def test_a_wave_that_is_surely_a_whole_number_a_turn_is_likelier_real(
+    order: float, unsure: float, sure: float
+) -> None:
+    """A wrong law has any order. A transmission's error of 3 % of the torque, right to its last
+    digit, had been a refinement of 46 %.
+    """
+    term = Term(
+        "transmission_error", 1,
+        {k: Quantity(v) for k, v in {"order": order, "amplitude": 2e-3, "phase": 0.1}.items()},
+    )  # fmt: skip
+    base = fitted((term,), order=unsure)
+    found = claim_of(term, 0.0327)
+    decision = of_one_claim(found, 0.0327, 0.00697, base)
+    assert confidence(found, decision) == pytest.approx(sure, abs=0.01)
 
 
 @pytest.mark.parametrize(

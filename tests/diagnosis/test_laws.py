@@ -58,10 +58,12 @@ def test_a_law_is_named_where_what_it_leaves_allows_no_other(
 @pytest.mark.parametrize("effect", ["stiffness", "ripple", "torque_gain"])
 def test_the_stated_detectable_size_meets_the_thresholds_of_a_claim(effect: str) -> None:
     claim = claim_of(make_term(get_effect(effect), 1, {}), 0.0)
+    model = SimpleNamespace(terms=(claim.term,), joint_kind=lambda _: "revolute")
+    held = SimpleNamespace(model=model, fit=SimpleNamespace(model=model, handles=(), std=()))
     least = least_stated(effect, of_one_claim(claim, 0.02, 0.02))
     assert least >= 0.02
     for size, named in ((1.02 * least, True), (0.98 * least, least == 0.02)):
-        outcome = of_one_claim(replace(claim, size=size), size, 0.02)
+        outcome = of_one_claim(replace(claim, size=size), size, 0.02, held)
         assert stated(outcome.claims[0], outcome) is named
 
 

@@ -51,7 +51,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     others' and it explains more than it leaves. The others become refinements.
     """
     decision = _upon_common(decision, parts, given, jobs)
-    twin = twins(decision.claims)
+    twin = twins(decision.claims, decision.final)
     likely = [
         c
         for c in decision.claims

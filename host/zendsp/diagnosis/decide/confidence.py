@@ -1,8 +1,9 @@
 """The probability that a finding is right.
 
 A logistic regression, learned on findings of known truth from makers of cases that share no code.
-Its features: what a law leaves unexplained relative to its size, how many free numbers it has, and
-how small a part it is of the missing torque that larger ones do not explain. Its reliability was
+Its features: what a law leaves unexplained relative to its size, how many free numbers it has (a
+wave that comes out as a whole number a turn has one less), and how small a part it is of the
+missing torque that larger ones do not explain. Its reliability was
 judged on makers left out of the regression (docs/measurements/diagnosis_choices.md). To repeat it:
 `python benchmarks/confidence.py`.
 """
@@ -15,10 +16,18 @@ from statistics import NormalDist
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.thresholds import SIMULATORS_DIFFER, STATED_ALONE, STATED_BESIDE
+from zendsp.diagnosis.decide.thresholds import (
+    FALSE_DISCOVERIES,
+    PLAIN,
+    SIMULATORS_DIFFER,
+    STATED_ALONE,
+    STATED_BESIDE,
+)
 from zendsp.diagnosis.measure.discrepancy import beyond
+from zendsp.diagnosis.measure.significance import deviation
 from zendsp.diagnosis.measure.structure import STRUCTURED
 from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.model import Term
 
 NAMES = ("constant", "unknown", "left", "free", "small")
 WEIGHTS = (-0.52, 3.04, 2.40, -0.69, -2.02)
@@ -93,7 +102,11 @@ def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
     size = max(claim.size, FINEST_KNOWN)
     larger = sum(c.size**2 for c in decision.claims if c.size > claim.size)
     lacking = math.sqrt(max(decision.before.value**2 - larger, FINEST_KNOWN**2))
-    free = sum(q.free for q in claim.term.parameters.values())
+    effect = get_effect(claim.term.effect)
+    free = sum(
+        q.free and effect.parameter(key).fitted for key, q in claim.term.parameters.items()
+    )
+    free -= whole_turns(claim.term, decision)
     return (
         1.0,
         0.0,
@@ -101,6 +114,18 @@ def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
         min(max(free, 1), 3) - 1.0,
         min(max(math.log10(lacking / size), 0.0), 1.5),
     )
+
+
+def whole_turns(term: Term, decision: Decision) -> bool:
+    """Whether a wave is a whole number a turn, and that is known so well that it is not by chance:
+    a wrong law has any number.
+    """
+    if "order" not in term.parameters or decision.base.model.joint_kind(term.joint) == "linear":
+        return False
+    order, unsure = term.value("order"), deviation(decision.final.fit, term, "order")
+    window = PLAIN * unsure
+    by_chance = 2.0 * window
+    return bool(abs(order - round(order)) <= window and 0.0 < by_chance <= FALSE_DISCOVERIES)
 
 
 def confidence(claim: Claim, decision: Decision) -> float:

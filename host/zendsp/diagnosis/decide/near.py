@@ -13,7 +13,7 @@ from zendsp.diagnosis.measure.discrepancy import Size
 
 LEAVES_MORE = "it leaves more of what its variables predict than a law may"
 ANOTHER = "another law of its kind predicts as well"
-TWIN = "its wave and an equal one of another mechanism imitate a third"
+TWIN = "its wave and one like it of another mechanism imitate a third"
 NO_BETTER = "with it untouched recordings are predicted no better"
 
 

@@ -62,20 +62,39 @@ def makes_another_grow(given: Model, final: Scored, law: Term) -> bool:
     )
 
 
-def twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """The waves of equal order and amplitude in two mechanisms at once. Together they imitate
-    something else, such as a ripple of the torque constant.
+def twins(claims: Sequence[Claim], final: Scored) -> tuple[Claim, ...]:
+    """The waves of two mechanisms at once that are equal in order and amplitude; or that the travel
+    cannot tell apart, one of them surely no whole number a turn. Together they imitate something
+    else, such as a ripple of the torque constant, or a torque that grows with place and speed.
     """
 
     def alike(a: Claim, b: Claim) -> bool:
         waves = [c.term.parameters for c in (a, b)]
-        return a.mechanism != b.mechanism and all(
+        if a.mechanism == b.mechanism or not all("phase" in wave for wave in waves):
+            return False
+        equal = all(
             all(n in wave for wave in waves)
             and abs(waves[0][n].value - waves[1][n].value) < TWINS * abs(waves[0][n].value)
             for n in ("order", "amplitude")
         )
+        return equal or _one_wave([a.term, b.term], final)
 
     return tuple(a for a in claims if any(alike(a, b) for b in claims))
+
+
+def _one_wave(waves: Sequence[Term], final: Scored) -> bool:
+    """Whether the travel cannot tell two waves apart, and one is surely no whole number a turn."""
+    joint = waves[0].joint
+    if final.model.joint_kind(joint) == "linear":
+        return False
+    travel = max(rec[joint - 1].scale.position for rec in final.data.records)
+    # one without an order is once a turn
+    orders = [t.value("order", 1.0) for t in waves]
+    unsure = [deviation(final.fit, t, "order") for t in waves]
+    broken = any(
+        abs(n - round(n)) > PLAIN * off for n, off in zip(orders, unsure, strict=True)
+    )
+    return broken and abs(orders[0] - orders[1]) * travel < 2 * math.pi
 
 
 def both_needed(final: Scored, law: Claim, other: Claim) -> bool:
