@@ -25,7 +25,7 @@ from small_arms import (
 import zendsp
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
-from zendsp.diagnosis.decide.absorbed import moved
+from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.search.body_explain import price_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis

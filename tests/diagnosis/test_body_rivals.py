@@ -12,9 +12,9 @@ from made_claims import claim_of
 
 from zendsp.diagnosis.decide import beside_bodies as beside
 from zendsp.diagnosis.decide import decide_bodies, naming
-from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim
+from zendsp.diagnosis.decide.moved import bodies_wrong
 from zendsp.diagnosis.explain import machine
 from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.bodies import FoundBody

@@ -15,7 +15,7 @@ from made_claims import claim_of, of_one_claim, piece
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
-from zendsp.diagnosis.decide import absorbed, believed, laws, nameless, pieces
+from zendsp.diagnosis.decide import absorbed, believed, laws, moved, nameless, pieces
 from zendsp.diagnosis.decide.absorbed import _by
 from zendsp.diagnosis.decide.assemble import _known_to
 from zendsp.diagnosis.decide.claims import Decision
@@ -445,7 +445,7 @@ def test_a_load_that_calibration_takes_up_on_a_planar_arm_is_told_by_its_mass_an
     def note(mass: float, at: float) -> str:
         more = {"p2": mass * at**2, "p3": mass * 0.36 * at, "p1": mass * (0.36**2 + at**2)}
         now = {k: (Quantity(given.mechanism[k][0].value + x),) for k, x in more.items()}
-        notes = absorbed.moved(given, replace(given, mechanism={**given.mechanism, **now}))
+        notes = moved.moved(given, replace(given, mechanism={**given.mechanism, **now}))
         return "".join(notes)
 
     told = note(3.386, 0.2954)

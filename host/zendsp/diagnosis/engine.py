@@ -20,7 +20,6 @@ from zendsp.diagnosis.data.prepare import at_their_poses, of_one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import halves, read_divided
-from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.contract import Rejected, Verdict, listed
@@ -29,6 +28,7 @@ from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.detectable_push import detectable_pushes
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
+from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load

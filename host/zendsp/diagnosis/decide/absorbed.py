@@ -8,30 +8,26 @@ where all of them have moved by one factor, it is named with them.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
+from zendsp.diagnosis.decide.moved import FAR, given_off, one_factor, point_of, times
 from zendsp.diagnosis.decide.pieces import finest
-from zendsp.diagnosis.decide.thresholds import TOLERANCE
-from zendsp.diagnosis.measure.curve import FRICTION
+from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.diagnosis.search.body_hypotheses import LIMITS, calibrated
+from zendsp.diagnosis.search.candidates import as_given
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import effective_inertia
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import CALLED, TREES, Model, Quantity
-from zendsp.physics.term_numbers import file_model
+from zendsp.physics.model import Model
 from zendsp_protocol.views import with_std
 
-FAR = 3.0  # standard deviations
-# the same of two numbers together: the root of the χ² with two degrees of freedom that is as
+# of two numbers together: the root of the χ² with two degrees of freedom that is as
 # unlikely (0.27 %); and the least of each of them. Chosen, not measured: the one case met had 3.0
 # and 4.8
 FAR_TOGETHER, NEAR = 3.44, 2.0
@@ -49,8 +45,6 @@ LATER = 0.5
 # s, and errors of the sensor: a joint whose position bends less over that time shows no inertia. At
 # constant speed it was 0.6 to 1.2; slow motion of complete machines (seed 1811) has 4.6 and more
 BEND, BENT = 0.25, 2.0
-AS_FACTOR = 10.0  # a change beyond is said as a factor, not in per cent
-G = 9.81  # m/s²
 
 
 def shifted(
@@ -96,12 +90,14 @@ def shifted(
         return []
     if heavier:
         z = math.copysign(math.hypot(z, moves["gravity"][1]), z)
-    size = _size(_held(given, decision, main), decision, test)
+    factor = one_factor(given, whole.improved, joint)
+    held = _held(given, decision, main) if factor is None else _as_given(given, decision)
+    # that all numbers move alike is no chance
+    size = _size(held, decision, test, SURELY if factor is None else PLAIN)
     if size is None:
         return []
-    factor = _one_factor(given, whole.improved, joint)
     if factor is not None:
-        known = factor * _given_off(given, whole.improved, joint)
+        known = factor * given_off(given, whole.improved, joint)
         return [(z, size, _gain(joint, factor, math.hypot(std / abs(amount / ratio), known)))]
     unit = "kg m²" if given.kind == "rotary" else "kg"
     wrong = "the given number is wrong"
@@ -163,16 +159,6 @@ def _weight(
     return f" and its gravity torque by {_by(amount, ratio, std, given.torque_unit(joint))}"
 
 
-def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
-    """The point mass on the axis of a pendulum that adds this inertia (kg m²) and weight (N m)."""
-    of_weight, of_inertia = weight.std / weight.value, inertia.std / inertia.value
-    mass, reach = weight.value**2 / (G**2 * inertia.value), G * inertia.value / weight.value
-    return {
-        "mass": Estimate(mass, abs(mass) * math.hypot(2.0 * of_weight, of_inertia), "kg"),
-        "com_x": Estimate(reach, reach * math.hypot(of_weight, of_inertia), "m"),
-    }
-
-
 def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
     """The payload that explains both, where inertia and weight have grown. It is as uncertain as
     the given numbers that it is measured from; one that may be next to nothing, or anywhere, is not
@@ -202,137 +188,6 @@ def _gain(joint: int, factor: float, std: float) -> Finding:
     )
     ratio = Estimate(1.0 / factor - 1.0, std / factor**2, "1")
     return _finding("torque_gain", joint, {"ratio": ratio}, GAINED, ("inertia",), text)
-
-
-def moved(given: Model, calibrated: Model) -> list[str]:
-    """The given numbers that calibration moved beyond their tolerance, in words, joint by joint.
-    They are no findings, but may be what a user looks for.
-    """
-    out = []
-    given, calibrated = file_model(given), file_model(calibrated)
-    for joint in range(1, given.joints + 1):
-        far = [n for n in _numbers(given, calibrated, joint) if n.is_far]
-        if far:
-            text = f"calibration moves {', '.join(map(str, far))}"
-            # a single number of a simulator is of no joint
-            own = all(not n.effect and len(given.mechanism[n.key]) == 1 for n in far)
-            if given.kind not in CALLED or not own:
-                text = f"joint {joint}: {text}"
-            factor = _one_factor(given, calibrated, joint)
-            if factor is not None:
-                text += f": all alike, as a torque gain of {1.0 / factor:.3g} would"
-            if given.kind in TREES and any(n.effect == "inertia" for n in far):
-                text += (
-                    "; where only its own acceleration shows it, a link or a payload of another"
-                    " mass is the same"
-                )
-            out.append(text + _along_link(given, far))
-    return out
-
-
-def _along_link(given: Model, far: Sequence[_Number]) -> str:
-    """The point on link 2 of a planar arm whose mass moved its p2 and p3, where both have grown: it
-    adds m x² to the one and m l1 x to the other. As uncertain as the given numbers.
-    """
-    grown = {n.key: n for n in far if not n.effect and n.new.value > n.given.value}
-    if given.kind != "planar2r" or not {"p2", "p3"} <= set(grown):
-        return ""
-    length = given.mechanism["l1"][0].value
-    inertia, weight = (
-        Estimate(
-            (n.new.value - n.given.value) * times,
-            math.hypot(max(TOLERANCE * n.given.value, n.given.std), n.new.std) * times,
-            unit,
-        )
-        for n, times, unit in ((grown["p2"], 1.0, "kg m²"), (grown["p3"], G / length, "N m"))
-    )
-    body = point_of(inertia, weight)
-    if any(known.value < FAR * known.std for known in body.values()):
-        return ""
-    mass, reach = (number(body[key]) for key in ("mass", "com_x"))
-    return f"; {mass} at {reach} along link 2 would do that to p2 and p3"
-
-
-def friction_moved(given: Model, calibrated: Model, joint: int) -> bool:
-    """Whether calibration moved a number of a joint's friction beyond its tolerance."""
-    return any(
-        n.is_far and n.effect and mechanism_of(n.effect) in FRICTION
-        for n in _numbers(given, calibrated, joint)
-    )
-
-
-def bodies_wrong(given: Model, improved: Model) -> int:
-    """The count of body numbers of a planar arm that moved beyond their tolerance."""
-    if given.kind != "planar2r":
-        return 0
-    moves = [
-        (q, improved.mechanism[key][i])
-        for key in calibrated(given)
-        for i, q in enumerate(given.mechanism[key])
-    ]
-    return sum(
-        abs(new.value - q.value) > max(LIMITS.calibrated * abs(q.value), LIMITS.far * q.std)
-        for q, new in moves
-    )
-
-
-@dataclass(frozen=True)
-class _Number:
-    """A free number of the given model, and what calibration made of it."""
-
-    effect: str  # of its term; empty where it belongs to the mechanism
-    key: str
-    given: Quantity
-    new: Quantity
-
-    @property
-    def is_far(self) -> bool:
-        """Whether calibration moved it beyond its tolerance."""
-        given, new = self.given.value, self.new
-        change = abs(new.value - given)
-        return bool(given) and change > math.hypot(TOLERANCE * given, FAR * new.std)
-
-    def __str__(self) -> str:
-        given, new = self.given.value, self.new.value
-        name = f"{self.effect.replace('_', ' ')} {self.key}".lstrip()
-        return f"{name} {given:.4g} to {new:.4g} ({_times(new / given - 1.0)})"
-
-
-def _one_factor(given: Model, calibrated: Model, joint: int) -> float | None:
-    """The one factor by which calibration multiplied all free numbers of a joint, three or more,
-    far beyond their tolerance; None where there is no such factor.
-    """
-    numbers = [n for n in _numbers(given, calibrated, joint) if n.given.value]
-    ratios = [n.new.value / n.given.value for n in numbers]
-    if len(ratios) < 3 or not all(n.is_far for n in numbers) or np.ptp(ratios) >= TOLERANCE:
-        return None
-    return float(np.mean(ratios))
-
-
-def _given_off(given: Model, calibrated: Model, joint: int) -> float:
-    """The relative standard deviation of the mean of a joint's given numbers, of which each is off
-    by its own tolerance.
-    """
-    each = [n.given for n in _numbers(given, calibrated, joint) if n.given.value]
-    known = [max(TOLERANCE, q.std / abs(q.value)) for q in each]
-    return math.hypot(*known) / len(known)
-
-
-def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
-    """The free numbers of a joint."""
-    for key, items in given.mechanism.items():
-        index = joint - 1 if len(items) > 1 else 0
-        if (joint == 1 or len(items) > 1) and items[index].free:
-            yield _Number("", key, items[index], calibrated.mechanism[key][index])
-    left = list(calibrated.at(joint))
-    for old in given.at(joint):
-        new = next((t for t in left if t.effect == old.effect), None)
-        if new is None:
-            continue  # something else stands in its place
-        left.remove(new)
-        for key, q in old.parameters.items():
-            if q.free:
-                yield _Number(old.effect, key, q, new.parameters.get(key, q))
 
 
 def _later(
@@ -438,14 +293,26 @@ def _by_unseen(improved: Model, joint: int, test: Data) -> float:
     return unseen / max(needed, 1e-300)
 
 
-def _held(given: Model, decision: Decision, key: str) -> Model:
-    """The model of a joint with one mechanism parameter put back to its given value."""
-    items = tuple(replace(q, free=False) for q in given.mechanism[key])
+def _held(given: Model, decision: Decision, *keys: str) -> Model:
+    """The model of a joint with some mechanism parameters put back to their given values."""
+    held = {key: tuple(replace(q, free=False) for q in given.mechanism[key]) for key in keys}
     model = decision.alone.model
-    return replace(model, mechanism={**model.mechanism, key: items})
+    return replace(model, mechanism={**model.mechanism, **held})
 
 
-def _size(held: Model, decision: Decision, test: Data) -> float | None:
+def _as_given(given: Model, decision: Decision) -> Model:
+    """The model of a joint with all of its given numbers. Beside dry friction, which is most of a
+    small motor's torque, a recording may hardly show the inertia alone.
+    """
+    own = given.at(decision.joint)
+    terms = as_given(decision.alone.model, given).terms
+    terms = tuple(t.held() if any(t is g for g in own) else t for t in terms)
+    return _held(given, decision, *given.mechanism).with_terms(terms)
+
+
+def _size(
+    held: Model, decision: Decision, test: Data, surely: float = SURELY
+) -> float | None:
     """The torque that the model leaves unexplained without a shift, as a part of the RMS torque.
     None where some recordings, held-out ones included, do not clearly prefer the shift. Only the
     claims stand beside it: refinements would be bent to make up for a wrong mass.
@@ -460,7 +327,7 @@ def _size(held: Model, decision: Decision, test: Data) -> float | None:
     if size <= max(decision.after.value, decision.state.size):
         return None
     evidence = compare(fixed, final, test, joint)
-    return size if evidence.gain > PAYS and evidence.z > SURELY else None
+    return size if evidence.gain > PAYS and evidence.z > surely else None
 
 
 def _gravity_only(
@@ -493,24 +360,7 @@ def _gravity_only(
 def _by(amount: float, ratio: float, std: float, unit: str) -> str:
     """The change of a given number in words, with its new value."""
     given = amount / ratio
-    return f"{_times(ratio)} (from {given:.3g} to {with_std(given + amount, std, unit)})"
-
-
-def _times(change: float) -> str:
-    """A relative change in words; beyond a factor of ten as the factor, and as a unit's where it is
-    one of a thousand.
-
-    Examples
-    --------
-    >>> _times(0.38), _times(24.0), _times(-0.999)
-    ('+38 %', 'a factor of 25', 'a factor of 0.001: a unit?')
-    """
-    factor = 1.0 + change
-    if not factor > 0.0 or 1.0 / AS_FACTOR <= factor <= AS_FACTOR:
-        return f"{100 * change:+.0f} %"
-    thousands = math.log(factor, 1e3)
-    unit = ": a unit?" if abs(thousands - round(thousands)) < TOLERANCE else ""
-    return f"a factor of {factor:.2g}{unit}"
+    return f"{times(ratio)} (from {given:.3g} to {with_std(given + amount, std, unit)})"
 
 
 def _finding(

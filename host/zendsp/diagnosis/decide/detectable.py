@@ -23,12 +23,12 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.checks import never_reverses
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.absorbed import friction_moved
 from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import CLOCK
 from zendsp.diagnosis.decide.law_torque import kept_laws, torque_of
+from zendsp.diagnosis.decide.moved import friction_moved
 from zendsp.diagnosis.decide.patchwork import part_of_a_wave
 from zendsp.diagnosis.decide.pieces import dependence, finest, log_e_value
 from zendsp.diagnosis.decide.result import Detectable

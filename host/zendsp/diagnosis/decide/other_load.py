@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.absorbed import point_of
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
+from zendsp.diagnosis.decide.moved import point_of
 from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, SURE, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare

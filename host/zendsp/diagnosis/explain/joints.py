@@ -19,12 +19,13 @@ from typing import Any
 
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.absorbed import bodies_wrong, shifted
+from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.across import all_late, pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict
 from zendsp.diagnosis.decide.law_torque import rms_torque
+from zendsp.diagnosis.decide.moved import bodies_wrong
 from zendsp.diagnosis.decide.notes import MADE_WORSE
 from zendsp.diagnosis.explain.one_joint import explain_joint, upon_ripples
 from zendsp.diagnosis.measure.discrepancy import discrepancy

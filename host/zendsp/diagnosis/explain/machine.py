@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.across import across_joints, friction_beside, may_be_strapped, timing
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.beside_bodies import beside_bodies
@@ -25,6 +24,7 @@ from zendsp.diagnosis.decide.decide_bodies import (
 )
 from zendsp.diagnosis.decide.fast_ripple import finding_of
 from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.moved import bodies_wrong
 from zendsp.diagnosis.decide.thresholds import OWN_SHARE
 from zendsp.diagnosis.explain.joints import (
     Done,

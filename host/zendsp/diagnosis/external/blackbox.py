@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.split import read_divided
-from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.contract import Rejected, Verdict, contradicted
+from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.near import only_in_the_fit
 from zendsp.diagnosis.decide.propose import experiment_of
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, SimulatorErrors

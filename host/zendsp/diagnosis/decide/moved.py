@@ -1,0 +1,181 @@
+"""The given numbers that calibration moved, and what they tell in words. As they stand they are no
+findings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zendsp.diagnosis.decide.findings import Estimate, number
+from zendsp.diagnosis.decide.thresholds import TOLERANCE
+from zendsp.diagnosis.measure.curve import FRICTION
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, calibrated
+from zendsp.physics.effects import mechanism_of
+from zendsp.physics.model import CALLED, TREES, Model, Quantity
+from zendsp.physics.term_numbers import file_model
+
+FAR = 3.0  # standard deviations
+AS_FACTOR = 10.0  # a change beyond is said as a factor, not in per cent
+G = 9.81  # m/s²
+
+
+def moved(given: Model, calibrated: Model) -> list[str]:
+    """The given numbers that calibration moved beyond their tolerance, in words, joint by joint.
+    They are no findings, but may be what a user looks for.
+    """
+    out = []
+    given, calibrated = file_model(given), file_model(calibrated)
+    for joint in range(1, given.joints + 1):
+        far = [n for n in _numbers(given, calibrated, joint) if n.is_far]
+        if far:
+            text = f"calibration moves {', '.join(map(str, far))}"
+            # a single number of a simulator is of no joint
+            own = all(not n.effect and len(given.mechanism[n.key]) == 1 for n in far)
+            if given.kind not in CALLED or not own:
+                text = f"joint {joint}: {text}"
+            factor = one_factor(given, calibrated, joint)
+            if factor is not None:
+                text += f": all alike, as a torque gain of {1.0 / factor:.3g} would"
+            if given.kind in TREES and any(n.effect == "inertia" for n in far):
+                text += (
+                    "; where only its own acceleration shows it, a link or a payload of another"
+                    " mass is the same"
+                )
+            out.append(text + _along_link(given, far))
+    return out
+
+
+def _along_link(given: Model, far: Sequence[_Number]) -> str:
+    """The point on link 2 of a planar arm whose mass moved its p2 and p3, where both have grown: it
+    adds m x² to the one and m l1 x to the other. As uncertain as the given numbers.
+    """
+    grown = {n.key: n for n in far if not n.effect and n.new.value > n.given.value}
+    if given.kind != "planar2r" or not {"p2", "p3"} <= set(grown):
+        return ""
+    length = given.mechanism["l1"][0].value
+    inertia, weight = (
+        Estimate(
+            (n.new.value - n.given.value) * times,
+            math.hypot(max(TOLERANCE * n.given.value, n.given.std), n.new.std) * times,
+            unit,
+        )
+        for n, times, unit in ((grown["p2"], 1.0, "kg m²"), (grown["p3"], G / length, "N m"))
+    )
+    body = point_of(inertia, weight)
+    if any(known.value < FAR * known.std for known in body.values()):
+        return ""
+    mass, reach = (number(body[key]) for key in ("mass", "com_x"))
+    return f"; {mass} at {reach} along link 2 would do that to p2 and p3"
+
+
+def friction_moved(given: Model, calibrated: Model, joint: int) -> bool:
+    """Whether calibration moved a number of a joint's friction beyond its tolerance."""
+    return any(
+        n.is_far and n.effect and mechanism_of(n.effect) in FRICTION
+        for n in _numbers(given, calibrated, joint)
+    )
+
+
+def bodies_wrong(given: Model, improved: Model) -> int:
+    """The count of body numbers of a planar arm that moved beyond their tolerance."""
+    if given.kind != "planar2r":
+        return 0
+    moves = [
+        (q, improved.mechanism[key][i])
+        for key in calibrated(given)
+        for i, q in enumerate(given.mechanism[key])
+    ]
+    return sum(
+        abs(new.value - q.value) > max(LIMITS.calibrated * abs(q.value), LIMITS.far * q.std)
+        for q, new in moves
+    )
+
+
+@dataclass(frozen=True)
+class _Number:
+    """A free number of the given model, and what calibration made of it."""
+
+    effect: str  # of its term; empty where it belongs to the mechanism
+    key: str
+    given: Quantity
+    new: Quantity
+
+    @property
+    def is_far(self) -> bool:
+        """Whether calibration moved it beyond its tolerance."""
+        given, new = self.given.value, self.new
+        change = abs(new.value - given)
+        return bool(given) and change > math.hypot(TOLERANCE * given, FAR * new.std)
+
+    def __str__(self) -> str:
+        given, new = self.given.value, self.new.value
+        name = f"{self.effect.replace('_', ' ')} {self.key}".lstrip()
+        return f"{name} {given:.4g} to {new:.4g} ({times(new / given - 1.0)})"
+
+
+def one_factor(given: Model, calibrated: Model, joint: int) -> float | None:
+    """The one factor by which calibration multiplied all free numbers of a joint, three or more,
+    far beyond their tolerance; None where there is no such factor.
+    """
+    numbers = [n for n in _numbers(given, calibrated, joint) if n.given.value]
+    ratios = [n.new.value / n.given.value for n in numbers]
+    if len(ratios) < 3 or not all(n.is_far for n in numbers) or np.ptp(ratios) >= TOLERANCE:
+        return None
+    return float(np.mean(ratios))
+
+
+def given_off(given: Model, calibrated: Model, joint: int) -> float:
+    """The relative standard deviation of the mean of a joint's given numbers, of which each is off
+    by its own tolerance.
+    """
+    each = [n.given for n in _numbers(given, calibrated, joint) if n.given.value]
+    known = [max(TOLERANCE, q.std / abs(q.value)) for q in each]
+    return math.hypot(*known) / len(known)
+
+
+def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
+    """The free numbers of a joint."""
+    for key, items in given.mechanism.items():
+        index = joint - 1 if len(items) > 1 else 0
+        if (joint == 1 or len(items) > 1) and items[index].free:
+            yield _Number("", key, items[index], calibrated.mechanism[key][index])
+    left = list(calibrated.at(joint))
+    for old in given.at(joint):
+        new = next((t for t in left if t.effect == old.effect), None)
+        if new is None:
+            continue  # something else stands in its place
+        left.remove(new)
+        for key, q in old.parameters.items():
+            if q.free:
+                yield _Number(old.effect, key, q, new.parameters.get(key, q))
+
+
+def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
+    """The point mass on the axis of a pendulum that adds this inertia (kg m²) and weight (N m)."""
+    of_weight, of_inertia = weight.std / weight.value, inertia.std / inertia.value
+    mass, reach = weight.value**2 / (G**2 * inertia.value), G * inertia.value / weight.value
+    return {
+        "mass": Estimate(mass, abs(mass) * math.hypot(2.0 * of_weight, of_inertia), "kg"),
+        "com_x": Estimate(reach, reach * math.hypot(of_weight, of_inertia), "m"),
+    }
+
+
+def times(change: float) -> str:
+    """A relative change in words; beyond a factor of ten as the factor, and as a unit's where it is
+    one of a thousand.
+
+    Examples
+    --------
+    >>> times(0.38), times(24.0), times(-0.999)
+    ('+38 %', 'a factor of 25', 'a factor of 0.001: a unit?')
+    """
+    factor = 1.0 + change
+    if not factor > 0.0 or 1.0 / AS_FACTOR <= factor <= AS_FACTOR:
+        return f"{100 * change:+.0f} %"
+    thousands = math.log(factor, 1e3)
+    unit = ": a unit?" if abs(thousands - round(thousands)) < TOLERANCE else ""
+    return f"a factor of {factor:.2g}{unit}"
