@@ -147,7 +147,7 @@ def test_errors_of_the_motion_of_links_are_as_large_as_is_said(tmp_path: Path) -
 def test_a_spring_that_another_hides_is_found(tmp_path: Path) -> None:
     data, model, _ = _prepared(tmp_path, (0, 1))
     for known, hidden in ((1, 2), (2, 1)):
-        found = with_other_spring(data, with_springs_at(model, {known}), {known})
+        found = with_other_spring(data, with_springs_at(model, {known}), {known}, {1, 2})
         assert found is not None
         spring = next(t for t in found.at(hidden) if t.effect == "elasticity")
         assert spring.value("stiffness") == pytest.approx(STIFFNESS[hidden - 1], rel=0.2)
@@ -156,7 +156,7 @@ def test_a_spring_that_another_hides_is_found(tmp_path: Path) -> None:
 def test_a_rigid_joint_beside_a_spring_has_none(tmp_path: Path) -> None:
     for springs in ((0,), (1,)):
         data, model, _ = _prepared(tmp_path, springs)
-        assert with_other_spring(data, model, {springs[0] + 1}) is None
+        assert with_other_spring(data, model, {springs[0] + 1}, {1, 2}) is None
 
 
 def test_a_gap_or_a_machine_without_bodies_is_no_chain(tmp_path: Path) -> None:

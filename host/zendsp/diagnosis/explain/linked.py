@@ -10,6 +10,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pushes import unpushed
+from zendsp.diagnosis.decide.thresholds import SIMULATORS_DIFFER
 from zendsp.diagnosis.explain.joints import Done, Explained, explain, with_bodies
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
@@ -104,7 +105,8 @@ def with_their_links(
 
 def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
     """The explanation in which others feel the link of one more joint. Behind a spring all joints
-    are explained again, since that moved as it fitted to accelerations that were wrong.
+    are explained again, since that moved as it fitted to accelerations that were wrong. A joint
+    that surely lacks something beside it may have a spring that it hid.
     """
     decision, improved = now.proposed[joint - 1], now.explained[2].improved
     stands = decision is now.explained[1][joint - 1]
@@ -115,9 +117,15 @@ def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
         kept = now.explained[0][joint - 1], decision
         return _Felt(joints, parts, _explain(machine, parts, {joint: kept}))
     alone = _in_turns(machine, model, joints)
+    lacking = {d.joint for d in alone.proposed if d.after.low > SIMULATORS_DIFFER} - joints
+    if not lacking:
+        return alone
     after = alone.explained[2].improved
     other = with_other_spring(
-        alone.parts.fit, after if is_chain(alone.parts.fit, after, joints) else model, joints
+        alone.parts.fit,
+        after if is_chain(alone.parts.fit, after, joints) else model,
+        joints,
+        lacking,
     )
     if other is None:
         return alone

@@ -36,7 +36,9 @@ AT_FIRST_BY = np.array([0.15, 0.7])  # logarithms by which they are changed at f
 FINER_BY, PASSES = 0.4, 3
 
 
-def with_other_spring(data: Data, model: Model, joints: Collection[int]) -> Model | None:
+def with_other_spring(
+    data: Data, model: Model, joints: Collection[int], among: Collection[int]
+) -> Model | None:
     """The model with the likeliest spring of one more joint, and with the stiffness and damping of
     all springs as all encoders together have them; None where no further spring pays.
 
@@ -44,6 +46,8 @@ def with_other_spring(data: Data, model: Model, joints: Collection[int]) -> Mode
     ----------
     model : Model
         Its springs at ``joints`` (1-based) are known.
+    among : collection of int
+        The joints that may have another one.
     """
     rec = data.records[0]
     known = with_springs_at(model, joints)
@@ -53,8 +57,7 @@ def with_other_spring(data: Data, model: Model, joints: Collection[int]) -> Mode
     value = arm.chain.smoothed(arm.strength)[0]
     tried = [
         (_value(rec, data, other, arm, WEAKER), term)
-        for joint in range(1, len(rec) + 1)
-        if joint not in joints
+        for joint in sorted(set(among) - set(joints))
         for term in _springs(rec, known, joint)
         if (other := known.with_terms((*known.terms, term)))
     ]
