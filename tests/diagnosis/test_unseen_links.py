@@ -38,7 +38,7 @@ def felt(monkeypatch: pytest.MonkeyPatch) -> dict[frozenset[int], tuple[Any, flo
     both = frozenset({1, 2})
     monkeypatch.setattr(linked, "divided", lambda model: frozenset() if model is GIVEN else both)
     monkeypatch.setattr(
-        linked, "with_links", lambda _, __, felt: _Parts(fit=None, choose=felt, felt=felt)
+        linked, "with_links", lambda _, __, felt, **___: _Parts(fit=None, choose=felt, felt=felt)
     )
     monkeypatch.setattr(linked, "is_chain", lambda *_: False)
     monkeypatch.setattr(linked, "with_bodies", lambda parts, _: parts)

@@ -25,6 +25,7 @@ from zendsp.physics.model import Model
 # Springs and the motion that others feel are estimated in turns, until no stiffness moves by more
 # than this part. A soft spring of an arm went from 107 to 104, 97.9 and 97.6 N m/rad (true: 97.2).
 STIFFNESS_MOVED, IN_TURNS = 0.01, 3
+FEW = 3  # joints: seven take 6 s for each estimate of their links' motion
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,11 @@ class _Felt:
         link may be the reason.
         """
         return [d.given_up or d for d in self.explained[1]]
+
+    @property
+    def lacking(self) -> frozenset[int]:
+        """The joints that surely lack something."""
+        return frozenset(d.joint for d in self.proposed if d.after.low > SIMULATORS_DIFFER)
 
     @property
     def cost(self) -> tuple[int, float]:
@@ -104,20 +110,24 @@ def with_their_links(
 
 
 def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
-    """The explanation in which others feel the link of one more joint. Behind a spring all joints
-    are explained again, since that moved as it fitted to accelerations that were wrong. A joint
-    that surely lacks something beside it may have a spring that it hid.
+    """The explanation in which others feel the link of one more joint. Behind springs of an arm all
+    joints are explained again, with links that move as all encoders say: the springs fitted to
+    accelerations that were wrong. Of many joints that takes long, and is done where one surely
+    lacks something. What a joint still lacks may be a spring that this one hid.
     """
     decision, improved = now.proposed[joint - 1], now.explained[2].improved
     stands = decision is now.explained[1][joint - 1]
     model = improved if stands else _with_joint(improved, decision)
     joints = now.joints | {joint}
-    if not is_chain(now.parts.fit, model, joints):
-        parts = with_links(machine.measured_motion, model, joints)
+    chain = is_chain(now.parts.fit, model, joints)
+    if not chain or model.joints > FEW:
+        parts = with_links(machine.measured_motion, model, joints, together=False)
         kept = now.explained[0][joint - 1], decision
-        return _Felt(joints, parts, _explain(machine, parts, {joint: kept}))
+        plain = _Felt(joints, parts, _explain(machine, parts, {joint: kept}))
+        if not (chain and plain.lacking):
+            return plain
     alone = _in_turns(machine, model, joints)
-    lacking = {d.joint for d in alone.proposed if d.after.low > SIMULATORS_DIFFER} - joints
+    lacking = alone.lacking - joints
     if not lacking:
         return alone
     after = alone.explained[2].improved

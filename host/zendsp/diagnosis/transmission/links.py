@@ -43,12 +43,15 @@ def divided(model: Model) -> frozenset[int]:
     )
 
 
-def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
+def with_links(
+    parts: Parts, model: Model, joints: Collection[int], *, together: bool = True
+) -> Parts:
     """The recordings, in which every joint feels the links of some others instead of their recorded
     positions.
 
     A link moves as its own sensor says; or, behind springs, as ``model`` and the encoders of the
-    whole arm say together (``arm_motion``); or else as the observer of its joint estimates.
+    whole arm say together (``arm_motion``); or else, and without ``together``, as the observer of
+    its joint estimates.
 
     Parameters
     ----------
@@ -61,17 +64,20 @@ def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
     """
     if not joints:
         return parts
-    done = {id(data): _with_links(data, model, joints) for data in parts.each}
+    done = {id(data): _with_links(data, model, joints, together) for data in parts.each}
     return Parts(*(done[id(data)] for data in (parts.fit, parts.choose, parts.test)))
 
 
-def _with_links(data: Data, model: Model, joints: Collection[int]) -> Data:
-    return replace(data, records=tuple(_felt(rec, data, model, joints) for rec in data.records))
+def _with_links(data: Data, model: Model, joints: Collection[int], together: bool) -> Data:
+    records = (_felt(rec, data, model, joints, together) for rec in data.records)
+    return replace(data, records=tuple(records))
 
 
-def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Records:
+def _felt(
+    rec: Records, data: Data, model: Model, joints: Collection[int], together: bool
+) -> Records:
     """One recording with such links; a joint's own motor stays as recorded."""
-    if is_chain(data, model, joints):
+    if together and is_chain(data, model, joints):
         model = with_springs_at(model, joints)
         arm = arm_motion(rec, data, model)
         if arm is not None:
