@@ -28,7 +28,7 @@ from zendsp.diagnosis.decide.stated_numbers import (
     runs_out,
 )
 from zendsp.diagnosis.engine import _ready
-from zendsp.diagnosis.explain import joints
+from zendsp.diagnosis.explain import linked
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.calibration.fit import Fit
@@ -401,13 +401,13 @@ def test_a_joint_without_data_to_choose_by_adds_nothing_to_the_cost(
 ) -> None:
     """After pushes were cut out this had been the logarithm of 0, found only after minutes."""
     left = {1: 0.0, 2: math.e}
-    monkeypatch.setattr(joints, "window_error", lambda _data, _model, joint: left[joint])
-    monkeypatch.setattr(joints, "rms", lambda error: error)
-    monkeypatch.setattr(joints, "noise_floor", lambda _data, _joint: 0.0)
+    monkeypatch.setattr(linked, "window_error", lambda _data, _model, joint: left[joint])
+    monkeypatch.setattr(linked, "rms", lambda error: error)
+    monkeypatch.setattr(linked, "noise_floor", lambda _data, _joint: 0.0)
     final = SimpleNamespace(model=None)
     both: Any = [SimpleNamespace(joint=j, final=final, claims=(1,)) for j in left]
     nothing: Any = None
-    assert joints._cost(nothing, both) == (2, pytest.approx(1.0))
+    assert linked._cost(nothing, both) == (2, pytest.approx(1.0))
 
 
 @pytest.mark.parametrize(
