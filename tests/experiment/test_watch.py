@@ -10,8 +10,12 @@ import numpy as np
 import pytest
 
 import zendsp
-from zendsp.errors import Incomplete, Refused
+from zendsp.errors import Incomplete, Refused, Unmeasured
 from zendsp.experiment import Estimate, Lab, Result, run_experiment
+from zendsp.experiment.breakaway import HOLD, _push
+from zendsp.experiment.knowing import as_found
+from zendsp.experiment.low_speed import low_speed
+from zendsp.experiment.push import Pusher
 from zendsp.experiment.result import FoundEffect
 from zendsp.experiment.watch import Held, Seen, firmer, guarded, name_yielding, stood, widen
 from zendsp.link import Target
@@ -274,3 +278,50 @@ def test_a_joint_that_something_holds_up_is_held_there_at_once(tmp_path: Path, n
     # then by no more than it had moved by, once its loop has come to rest; 0.2 N m: noise
     later = seen + round(0.3 / rec.sample_time)
     assert np.abs(tau[later:]).max() < np.abs(tau[:touched]).max() + 0.2
+
+
+def turned(angle: float) -> str:
+    """STOP with its block farther on, beyond what `low-speed` moves over."""
+    x, y = 0.25 * np.cos(angle) - 0.13 * np.sin(angle), 0.25 * np.sin(angle) + 0.13 * np.cos(angle)
+    return STOP.replace('pos="0.25 0.13 0"', f'pos="{x} {y} 0" euler="0 0 {angle}"')
+
+
+@pytest.mark.parametrize(("name", "came"), [
+    ("breakaway", "while its command came to"), ("high-speed", "that it had moved by")
+])  # fmt: skip
+def test_a_push_that_something_holds_up_is_ended_and_says_where(
+    tmp_path: Path, name: str, came: str
+) -> None:
+    """`breakaway` pushed against the block by up to 16 N m; `high-speed` for 4.5 s and more, five
+    times, each with a quarter more torque.
+    """
+    with started(tmp_path, turned(0.9)) as target:
+        said = rf"something holds joint 1 \(turn\) up at 1\.\d+ rad.*{came}"
+        with pytest.raises(Refused, match=said):
+            run_experiment(name, Lab(tmp_path, target))
+        assert target.status().trip is None
+    ended = [Recording.load(file) for file in (tmp_path / name).glob("joint1*.npz")]
+    rec, = (rec for rec in ended if "blocked" in rec.names and rec["blocked"].any())
+    q, tau, blocked = (rec[x].ravel() for x in ("q", "tau", "blocked"))
+    seen = int(np.argmax(blocked > 0))
+    most = int(np.argmax(q[:seen]))  # the touch
+    assert (seen - most) * rec.sample_time < 0.5, "s, from the touch on"
+    # then by no more than it had moved by
+    later = seen + round(0.3 / rec.sample_time)
+    assert np.abs(tau[later:]).max() < np.abs(tau[:most]).max()
+
+
+def test_a_staircase_ends_where_a_joint_broke_away_and_stands(tmp_path: Path) -> None:
+    """Beside a block it was pushed by twice the torque again and again, up to 16 N m."""
+    with started(tmp_path, turned(0.9)) as target:
+        lab = Lab(tmp_path, target)
+        low = low_speed(lab)
+        with lab.bench("breakaway") as bench:
+            known = as_found(bench, lab, low)
+            said = r"something holds joint 1 up at 1\.\d+ rad.*it broke away, went 0\.0\d+ rad"
+            with pytest.raises(Unmeasured, match=said):
+                _push(Pusher(bench, known), "beside", 1, 1, 1.07, known.axes[1].slow, HOLD)
+            assert bench.recordings[-1] == "beside.npz", "no second, larger staircase"
+        rec = Recording.load(tmp_path / "breakaway" / "beside.npz")
+    # that of a staircase, twice the friction of 0.4 N m
+    assert np.abs(rec["torque"][rec["phase"] == 2]).max() < 2.0 * 0.4 + 0.2

@@ -15,7 +15,7 @@ from zendsp.experiment.joints import USED, Array, Axis
 from zendsp.experiment.knowing import as_found, refuse_none, shipped, with_values
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import low_speed
-from zendsp.experiment.push import BRAKING, Pusher
+from zendsp.experiment.push import BRAKING, PUSHING, Pusher
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.staircase import breakaway_torque, bristle_stiffness, pushed_way
 from zendsp.experiment.watch import left_out
@@ -29,6 +29,8 @@ CREEP = 0.006  # of the stiffness: what they still creep, as pushes of other spe
 CUTOFF = 25.0  # Hz, of the speed: what holds one joint must not shake the other by its noise
 THRESHOLD = 0.05  # of the low-speed way: that a joint goes before a push ends
 FAST_WINDOW = 0.031  # s that a fast push is smoothed over
+BROKE = 0.25  # of that way: a joint that went as far has broken away …
+STOOD = 0.1  # … and by less of what it went it stands, in the last third of the torque
 RESTS = 0.3  # of the friction: what may stay of what held a joint that carries a weight
 # of the encoder, that bristles must bend by for their stiffness to be told: at 16 counts it is 3 %
 # off, at 12 6 %, at 8 47 % (docs/measurements/experiments.md)
@@ -304,9 +306,33 @@ def _push(
             increment=rate * hold, hold=hold, threshold=THRESHOLD * axis.travel,
             back=THRESHOLD * axis.travel,
         )  # fmt: skip
-        if (rec["phase"] >= BRAKING).any() or enough >= most:
+        if (rec["phase"] >= BRAKING).any():
+            return rec
+        refuse_held_up(rec, axis, direction)
+        if enough >= most:
             return rec
         enough, name = min(2.0 * enough, most), f"{name}_more"
+
+
+def refuse_held_up(rec: Recording, axis: Axis, direction: int) -> None:
+    """Refuse a staircase whose joint broke away, and then stood while the torque grew by half.
+
+    Raises
+    ------
+    Unmeasured
+    """
+    rows = np.flatnonzero(rec["phase"] == PUSHING)
+    q = rec["q"].reshape(len(rec), -1)[rows, axis.number - 1]
+    way = direction * (q - q[0])
+    last = way[2 * len(way) // 3 :]
+    if way[-1] > BROKE * THRESHOLD * axis.travel and np.ptp(last) < STOOD * way[-1]:
+        most, unit = abs(float(rec["torque"][rows[-1]])), axis.unit
+        raise Unmeasured(
+            f"something holds joint {axis.number} up at {q[-1]:.3g} {unit}, within its range of"
+            f" {axis.low:.3g} to {axis.high:.3g}: it broke away, went {way[-1]:.2g} {unit}, and"
+            f" stands there under up to {most:.3g} {axis.force}. No more was tried. Take away what"
+            " it touches, or let the machine declare the range that it has"
+        )
 
 
 def _draw(found: Mapping[int, Pushes], bench: Bench) -> str:

@@ -178,7 +178,7 @@ def _steady(
             axis.number, direction, start, min(max(seconds, 4.5), 4.0 * LONGEST),
             first=min(torque, most), lower=min(start, end) if direction < 0 else axis.low,
             upper=max(start, end) if direction > 0 else axis.high,
-            back=0.1 * axis.travel, **_held(known),
+            back=0.1 * axis.travel, pace=speed, **_held(known),
         )  # fmt: skip
         if (rec["phase"] >= BRAKING).any():
             break

@@ -35,6 +35,7 @@ Say = Callable[[str], None]
 Array = npt.NDArray[np.float64]
 IDLE = {"idle.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'}
 HOLDS = "joint_pd.c"  # without a reference it holds every joint where it stands
+RESTS = 1  # phase of push.c: later ones are of the push itself
 AFTER_S = 0.5  # that is still recorded when all is done
 STILL = 0.01  # rad, m, and of its range: a joint that has moved by less stands where it stood
 ENDING = 20  # rows of a recording, that tell what holds the joints at its end
@@ -346,11 +347,16 @@ class Bench:
         own = self.machine.joints[j - 1]
         q, tau = (float(np.atleast_2d(recording[x].T)[j - 1, row]) for x in ("q", "tau"))
         force = "N m" if own.unit == "rad" else "N"
+        pushed = "phase" in recording.names and row > 0 and recording["phase"][row - 1] > RESTS
+        came = (
+            f"under the {tau:.3g} {force} that it had moved by" if pushed
+            else f"while its command came to {tau:.3g} {force}, more than it had moved by"
+        )
         raise Unmeasured(
             f"{name}: something holds joint {j} ({own.name}) up at {q:.3g} {own.unit}, within its"
-            f" range of {own.position_min:.3g} to {own.position_max:.3g}: it stands there while its"
-            f" command came to {tau:.3g} {force}, more than it had moved by. It was held there at"
-            " once. Take away what it touches, or let the machine declare the range that it has"
+            f" range of {own.position_min:.3g} to {own.position_max:.3g}: it stands there {came}."
+            " It was held there at once. Take away what it touches, or let the machine declare the"
+            " range that it has"
         )
 
     def _make_ready(self, name: str) -> None:
@@ -412,10 +418,9 @@ def _stop(target: Target) -> None:
 def own_program(name: str) -> dict[str, str]:
     """Source of a program of the experiments, with what control programs share."""
     file = resources.files("zendsp.experiment").joinpath("programs", name)
-    shared = resources.files("zendsp_isr").joinpath("programs", "motion.h")
-    return {
-        name: file.read_text(encoding="utf-8"), "motion.h": shared.read_text(encoding="utf-8"),
-    }
+    shared = resources.files("zendsp_isr").joinpath("programs")
+    beside = {x: shared.joinpath(x).read_text(encoding="utf-8") for x in ("motion.h", "blocked.h")}
+    return {name: file.read_text(encoding="utf-8"), **beside}
 
 
 def push_program() -> dict[str, str]:

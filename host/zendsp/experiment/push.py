@@ -11,6 +11,7 @@ from zendsp.experiment.joints import USED, Array, Known
 from zendsp.experiment.knowing import PROGRAM
 from zendsp.experiment.lab import Bench, push_program
 from zendsp.link import Target
+from zendsp.link.outside import positions
 from zendsp.recording import Recording
 
 TRAVEL_S = 2.0  # s, to the start position, at least
@@ -43,12 +44,12 @@ class Pusher:
         Raises
         ------
         Unmeasured
-            The joint did not stand still before the push.
+            The joint did not stand still before the push, or something holds it up on its way.
         """
         known, axis = self.known, self.known.axes[joint]
         goal = known.at(joint, place)
         travel = travel_time(known, self.stands, np.array(goal))
-        channels = ["q", "tau", "torque", "phase"]
+        channels = ["q", "tau", "torque", "phase", "blocked"]
         gains = {"Kp": known.gain("kp"), "Kd": known.gain("kd"), "brake": known.gain("brake")}
         reset = 0.0 if known.program != PROGRAM else RESET
         # one count is seen as so much speed: two of them are none that ends a push
@@ -56,11 +57,16 @@ class Pusher:
         fastest = USED * axis.speed + 4.0 * np.pi * cutoff * abs(axis.count)
         limits = {"lower": axis.low, "upper": axis.high, "fastest": fastest}
         given = {"reset": reset, **limits, **gains, **known.weights(), **values}
-        rec = self.bench.record(
-            name, push_program(), channels, seconds=1.5 * travel + REST_S + 0.3 + seconds,
-            joint=joint, direction=direction, place=goal, travel_time=travel, rest_time=REST_S,
-            done=_held, **given,
-        )
+        try:
+            rec = self.bench.record(
+                name, push_program(), channels, seconds=1.5 * travel + REST_S + 0.3 + seconds,
+                joint=joint, direction=direction, place=goal, travel_time=travel, rest_time=REST_S,
+                done=_held, **given,
+            )
+        except Unmeasured:  # it was held up on its way, and others are still measured
+            here = positions(self.bench.target.status(), self.bench.machine.joints)
+            self.stands = np.array(here, dtype=np.float64)
+            raise
         self.gave.setdefault(joint, []).append({k: s.way for k, s in self.bench.seen.items()})
         self.stands = rec["q"].reshape(len(rec), -1)[-1]
         if not (rec["phase"] == PUSHING).any():

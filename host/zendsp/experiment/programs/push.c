@@ -6,10 +6,14 @@
  * `band` of what held the joint at rest. The push ends when the joint has left its start by
  * `threshold`, or by `back` the other way, or has passed `upper` (counterclockwise) or `lower`
  * (clockwise), or is faster than `fastest`. The joint is then braked, and held where it stops.
+ *
+ * What holds a joint up on the way to its start (blocked.h), or a pushed one that had half of
+ * `pace` and stands, ends everything: the machine is held where it is; `blocked` says which joint.
  */
 #include "isr.h"
 
 enum { MOST = 8 };
+#define N JOINTS
 #define BRAKE_TIME 0.2 /* s, at most, before the joint is held: a brake alone lets a weight sink */
 enum { GOING, RESTING, PUSHING, BRAKING, HELD };
 
@@ -17,15 +21,20 @@ static int32_t joint, direction;
 static double place[MOST], Kp[MOST], Kd[MOST], brake[MOST];
 static double flat[MOST], cosine[MOST], sine[MOST], band;
 static double first, increment, hold, threshold, back, lower, upper, fastest;
-static double travel_time, rest_time, cutoff, reset;
+static double travel_time, rest_time, cutoff, reset, pace;
 
 static double q[MOST], qd[MOST], tau[MOST], torque;
-static int32_t phase;
+static int32_t phase, blocked;
+static double r[MOST]; /* where the joints are to be on the way to the start */
 
 static double last[MOST], start[MOST], begun, origin;
 static double sum[MOST]; /* N m, of the integrals */
 static double carried; /* N m, what held the joint beside its weight, and what of it stays */
 static double ended, speed; /* s and rad/s, when the push ended */
+static double looked, from; /* s and place of the latest look at a joint that is pushed */
+static bool moved;          /* it had half of `pace` */
+static int32_t stood;       /* looks since */
+#include "blocked.h"
 
 void UserInit(void) {
     PARAMETER(joint, 1, "", 1, MOST, "joint that is pushed, from 1");
@@ -49,12 +58,14 @@ void UserInit(void) {
     PARAMETER(travel_time, 2.0, "s", 0.1, 600.0, "time to the start position");
     PARAMETER(rest_time, 0.5, "s", 0.0, 60.0, "time at rest before the push");
     PARAMETER(reset, 0.0, "s", 0.0, 1000.0, "time constant of what holds the others; 0: none");
+    PARAMETER(pace, 0.0, "{q}/s", 0.0, 1e6, "that a constant torque is to give; 0: not looked at");
     PARAMETER(cutoff, 80.0, "Hz", 1.0, 1000.0, "velocity filter");
     SIGNAL_FIRST(q, JOINTS, "{q}", "positions");
     SIGNAL_FIRST(qd, JOINTS, "{q}/s", "velocities, filtered");
     SIGNAL_FIRST(tau, JOINTS, "{tau}", "commands");
     SIGNAL(torque, "{tau}", "command of the pushed joint");
     SIGNAL(phase, "", "0 going to the start, 1 resting, 2 pushing, 3 braking, 4 held");
+    SIGNAL(blocked, "", "joint that something holds up, from 1; 0: none");
 }
 
 static void measure(void) {
@@ -71,6 +82,7 @@ static void measure(void) {
     if (FIRST_SAMPLE || !DRIVE_ENABLED) {
         begun = SAMPLE_TIME;
         phase = GOING;
+        blocked = 0;
         carried = 0.0;
     }
 }
@@ -91,6 +103,30 @@ static bool over(int32_t k) {
         return fabs(gone) > back;
     return phase == PUSHING &&
            (fabs(gone) > threshold || -along > back || beyond || fabs(qd[k]) > fastest);
+}
+
+/* Whether a joint that was moving under a constant torque stands. */
+static bool stands(int32_t k) {
+    const double since = SAMPLE_TIME - looked;
+    const bool pushed = phase == PUSHING && pace > 0.0;
+    if (pushed && since < BLOCKED_TIME)
+        return false;
+    const double share = (direction < 0 ? from - q[k] : q[k] - from) / fmax(since * pace, 1e-12);
+    moved = pushed && (moved || share > BLOCKED_FOLLOWS);
+    stood = moved && share < BLOCKED_STANDS ? stood + 1 : 0;
+    looked = SAMPLE_TIME;
+    from = q[k];
+    return stood >= BLOCKED_LOOKS;
+}
+
+/* Hold the machine where it is, the blocked joint by its weight and a spring that is not bent. */
+static void stay(int32_t k, int32_t found) {
+    blocked = found;
+    phase = HELD;
+    origin = q[k];
+    sum[found - 1] = 0.0;
+    for (int32_t j = 0; j < JOINTS; j++)
+        r[j] = q[j];
 }
 
 static void advance(int32_t k, double rested, double t) {
@@ -130,21 +166,28 @@ void UserISR_INT2(void) {
     measure();
     const double t = SAMPLE_TIME - begun, rested = t - 1.5 * travel_time;
     const int32_t k = joint - 1;
-    advance(k, rested, t);
+    for (int32_t j = 0; j < JOINTS && blocked == 0; j++)
+        r[j] = wanted(j, t);
+    if (blocked == 0)
+        advance(k, rested, t);
     for (int32_t j = 0; j < JOINTS; j++) {
-        double beside = Kp[j] * (wanted(j, t) - q[j]) - Kd[j] * qd[j] + sum[j];
+        double beside = Kp[j] * (r[j] - q[j]) - Kd[j] * qd[j] + sum[j];
         if (j == k && phase == GOING) /* the mean of what holds it, over 0.1 s */
             carried += fmin(1.0, SAMPLE_PERIOD / 0.1) * (beside - carried);
         if (j == k && phase != GOING)
             beside = push(k, rested - rest_time);
         const double most = TORQUE_MAX(j) > 0.0 ? TORQUE_MAX(j) : 1e12;
         tau[j] = fmax(-most, fmin(most, weight(j) + beside));
-        if (reset > 0.0 && fabs(tau[j]) < most && (j != k || phase == GOING || phase == HELD))
-            sum[j] += Kp[j] * ((phase == HELD && j == k ? origin : wanted(j, t)) - q[j]) *
+        if (reset > 0.0 && fabs(tau[j]) < most && blocked != j + 1 &&
+            (j != k || phase == GOING || phase == HELD))
+            sum[j] += Kp[j] * ((phase == HELD && j == k ? origin : r[j]) - q[j]) *
                       SAMPLE_PERIOD / reset;
         WRITE_TORQUE(j, tau[j]);
     }
     torque = tau[k];
+    const int32_t held_up = Blocked(), found = stands(k) ? joint : phase == GOING ? held_up : 0;
+    if (blocked == 0 && found > 0)
+        stay(k, found);
 }
 
 void UserBackground(void) {}
