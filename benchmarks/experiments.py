@@ -172,9 +172,10 @@ def section(name: str, kept: Mapping[str, list[Any]]) -> str:
             truth = EXPERIMENTS[one].truth[key]
             inside = np.abs(value - truth) <= 1.96 * std
             held, count = held + int(inside.sum()), count + len(inside)
+            spread = f"{value.std(ddof=1):.2g}" if len(value) > 1 else "not told"
             lines.append(
                 f"| {key.replace('_', ' ')} | {truth:.4g} | {value.mean():.4g} |"
-                f" {value.std(ddof=1):.2g} | {std.mean():.2g} |"
+                f" {spread} | {std.mean():.2g} |"
                 f" {(value.mean() - truth) / std.mean():+.2f} | {100 * inside.mean():.1f} % of"
                 f" {len(inside)} |"
             )
