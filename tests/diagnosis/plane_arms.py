@@ -9,21 +9,22 @@ from zendsp.physics.model import Model
 
 
 def two_links(
-    start: float = 0.0, load: tuple[float, float] = (0.0, 0.0)
+    start: float = 0.0, load: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> dict[str, np.ndarray]:
     """An arm with p1, p2, p3 = 0.4, 0.09, 0.075 kg m² along a multisine, with dry friction; from a
-    time on, s. Along its second link it carries a ``load``, kg, at a distance, m, from joint 2.
+    time on, s. Its second link carries a ``load``, kg, at x and y, m, from joint 2.
     """
-    mass, reach = load
-    p2, p3 = 0.09 + mass * reach**2, 0.075 + mass * 0.3 * reach
-    p1 = 0.4 + mass * (0.3**2 + reach**2)
+    mass, x, y = load
+    p2, p3, aside = 0.09 + mass * (x**2 + y**2), 0.075 + mass * 0.3 * x, mass * 0.3 * y
+    p1 = 0.4 + mass * (0.3**2 + x**2 + y**2)
     t = np.arange(0.0, 8.0, 0.002)
     f, phase = np.array([[0.3, 0.7, 1.1], [0.4, 0.9, 1.3]]), np.array([[0, 1, 2], [2, 0, 1]])
     w = 2 * np.pi * f[:, :, None]
     turn = w * (t + start) + phase[:, :, None]
     q, v = 0.3 * np.sin(turn).sum(1), 0.3 * (w * np.cos(turn)).sum(1)
     a = -0.3 * (w**2 * np.sin(turn)).sum(1)
-    c, s = p3 * np.cos(q[1]), p3 * np.sin(q[1])
+    c = p3 * np.cos(q[1]) - aside * np.sin(q[1])
+    s = p3 * np.sin(q[1]) + aside * np.cos(q[1])
     u1 = (p1 + 2 * c) * a[0] + (p2 + c) * a[1] - s * (2 * v[0] + v[1]) * v[1]
     u2 = (p2 + c) * a[0] + p2 * a[1] + s * v[0] ** 2
     u = np.stack([u1, u2]) + np.array([[0.25], [0.12]]) * np.tanh(v / 0.01)

@@ -296,12 +296,16 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
     ]
 
 
-def test_a_payload_that_calibration_of_a_planar_arm_takes_up_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("aside", [0.0, 0.03])
+def test_a_payload_that_calibration_of_a_planar_arm_takes_up_is_named(
+    aside: float, tmp_path: Path
+) -> None:
     """The arm's own numbers take it up, moved far beyond their tolerance, and predicted 0.01 %
     better: "complete". A rotor beside p1 and p2, which are the motors' inertia too, made the
-    payload a fifth too light.
+    payload a fifth too light. Beside the link's line, it came with an error of the transmission and
+    an eccentric encoder, or at a zero 0.8 rad elsewhere.
     """
-    load = (0.9, 0.2)
+    load = (0.9, 0.2, aside)
     for name, start in (("fit", 0.0), ("test", 40.0)):
         np.savez(tmp_path / f"{name}.npz", **two_links(start, load))
     numbers = {"p1": 0.404, "p2": 0.089, "p3": 0.0755, "l1": 0.3, "l2": 0.3}
@@ -314,8 +318,9 @@ def test_a_payload_that_calibration_of_a_planar_arm_takes_up_is_named(tmp_path: 
     d = zendsp.diagnose([tmp_path / "fit.npz"], given, [tmp_path / "test.npz"], jobs=1)
     assert [(f.effect, f.joint) for f in d.findings] == [("payload", 2)]
     known = d.findings[0].parameters
-    for key, true in zip(("mass", "com_x"), load, strict=True):
-        assert abs(known[key].value - true) < 2.5 * known[key].std < 0.25 * true
+    for key, true in zip(("mass", "com_x"), load, strict=False):
+        assert abs(known[key].value - true) < 2.0 * known[key].std < 0.5 * true
+    assert known["com_y"].value == pytest.approx(aside, abs=0.005)
     assert d.test is not None and d.test.improved < 1.02 * d.test.calibrated
 
 

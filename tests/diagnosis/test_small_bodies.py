@@ -218,7 +218,7 @@ def test_numbers_that_no_machine_has_are_not_gone_on_with(monkeypatch: pytest.Mo
     """A link of 0.33 kg that lacked all of it ended the diagnosis with an error."""
     link = Hypothesis("body", 2, "link2", ("mass", "inertia"))
     layout: Any = SimpleNamespace(
-        model=SimpleNamespace(terms=(), with_terms=lambda _: None),
+        rotors=True, model=SimpleNamespace(terms=(), with_terms=lambda _: None),
         term=lambda _h, values: values, place=lambda *_: None,
     )  # fmt: skip
 

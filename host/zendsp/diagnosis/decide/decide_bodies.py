@@ -228,10 +228,11 @@ def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
 
 
 def as_free_as(given: Model, model: Model) -> Model:
-    """A model of which those of the mechanism's numbers are free that are free in the given one."""
+    """A model whose mechanism's numbers are as free, and known as well, as in the given one."""
     mechanism = {
         key: tuple(
-            replace(q, free=was.free) for q, was in zip(items, given.mechanism[key], strict=True)
+            replace(q, free=was.free, std=was.std)
+            for q, was in zip(items, given.mechanism[key], strict=True)
         )
         for key, items in model.mechanism.items()
     }

@@ -208,14 +208,15 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     """All hypotheses that are tried."""
     out: list[Hypothesis] = []
     ends = {k for k in range(len(links.bodies)) if all(b.parent != k for b in links.bodies)}
-    # its parameters have no centres beside the links' lines
     flat = model.kind == "planar2r"
     for k, b in enumerate(links.bodies):
+        # its parameters have no centres beside the links' lines; a load may have
         com = ("com_x",) if flat else felt(links, k)
         free = ("mass", *com)
-        out.append(
-            Hypothesis("payload", k + 1, b.name, free, TOOL if k in ends else COST["payload"])
-        )
+        cost = TOOL if k in ends else COST["payload"]
+        out.append(Hypothesis("payload", k + 1, b.name, free, cost))
+        if flat and links.moves(0, k) and k > 0:
+            out.append(Hypothesis("payload", k + 1, b.name, (*free, "com_y"), cost + 1))
         if b.mass > 0:
             out.append(Hypothesis("body", k + 1, b.name, ("mass",), COST["body"] + 1))
             if com:

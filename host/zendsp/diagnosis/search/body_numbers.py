@@ -118,9 +118,10 @@ def _standing(
     that shows.
     """
     h, values = first.hypothesis, first.values
-    wider = (
-        replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
-    )
+    # beside p1, p2 and p3 of a planar arm, known to their tolerance, an inertia of its own leaves
+    # nothing of its mass
+    own = layout.rotors and "mass" in h.free and "inertia" not in h.free
+    wider = replace(h, free=(*h.free, "inertia")) if own else h
     for _ in range(limits.rounds):
         here = layout.model.with_terms((*layout.model.terms, layout.term(h, values)))
         sums = Sums(fit, here, limits, jobs, about=[h])
@@ -134,8 +135,8 @@ def _standing(
             spread = solver.std(wider, more)
             told_apart = spread[0] < max(limits.blurred * std[0], limits.of_mass * abs(more[0]))
             shown = abs(more[-1]) > limits.shown * spread[-1]
-            own = solver.own_share(wider, more) > limits.no_rotor
-            if shown and told_apart and own and solver.plausible(wider, more):
+            alone = solver.own_share(wider, more) > limits.no_rotor
+            if shown and told_apart and alone and solver.plausible(wider, more):
                 h, new, std = wider, more, spread
         known = len(values)
         stands = (
