@@ -8,13 +8,15 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import zendsp
 from zendsp.errors import ModelError, Refused, Unmeasured
-from zendsp.experiment import Estimate, Lab, Result
+from zendsp.experiment import Estimate, Lab, Result, push
 from zendsp.experiment.breakaway import Push, Pushes, _report_stiffness, breakaway
 from zendsp.experiment.circle import circle
 from zendsp.experiment.friction_curve import friction_curve
@@ -167,6 +169,30 @@ def test_a_push_ends_where_the_joint_sinks_and_the_machine_is_braked(
     assert begin - q[phase == 3][0] < 0.03, "it sank by 20 mm"
     # 0.2 s of a brake that bears 23 N at 0.4 m/s, and the loop that then holds it
     assert begin - q.min() < 0.02 + 0.2 * 0.4 + 0.05
+
+
+def test_a_push_has_time_for_the_way_from_where_a_simulated_machine_begins_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On the fast clock each recording began at 0 rad. From 1.40 rad, where the last push had left
+    the joint, there was little way to go, and a limit of 0.3 rad/s was passed at 0.32.
+    """
+    asked: list[float] = []
+
+    class Pushed(dict[str, Any]):
+        def __len__(self) -> int:
+            return 2
+
+    def recorded(*_: Any, travel_time: float, **__: Any) -> Any:
+        asked.append(travel_time)
+        return Pushed(q=np.array([[0.1], [0.9]]), phase=np.array([1.0, 2.0]))
+
+    monkeypatch.setattr(push, "push_program", lambda: "")
+    bench: Any = SimpleNamespace(record=recorded, seen={})
+    pusher = Pusher(bench, unknown(Load(3.0)))
+    pusher.push("first", 1, 1, 0.9, 0.5)
+    pusher.push("second", 1, 1, 0.9, 0.5)
+    assert asked[1] == asked[0] > push.TRAVEL_S
 
 
 def test_on_the_real_clock_a_push_is_recorded_until_soon_after_the_joint_is_held_again(

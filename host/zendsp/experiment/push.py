@@ -33,7 +33,8 @@ class Pusher:
     def __init__(self, bench: Bench, known: Known) -> None:
         self.bench, self.known = bench, known
         self.gave: dict[int, list[dict[int, float]]] = {}  # way of each held joint, of each push
-        self.stands: Array = known.pose if known.stands is None else known.stands
+        self.began: Array = known.pose if known.stands is None else known.stands
+        self.stands = self.began
 
     def push(
         self, name: str, joint: int, direction: int, place: float, seconds: float, **values: Any
@@ -48,7 +49,9 @@ class Pusher:
         """
         known, axis = self.known, self.known.axes[joint]
         goal = known.at(joint, place)
-        travel = travel_time(known, self.stands, np.array(goal))
+        # on the fast clock a simulated machine begins again where it began at first
+        starts = self.stands, self.began
+        travel = max(travel_time(known, start, np.array(goal)) for start in starts)
         channels = ["q", "tau", "torque", "phase", "blocked"]
         gains = {"Kp": known.gain("kp"), "Kd": known.gain("kd"), "brake": known.gain("brake")}
         reset = 0.0 if known.program != PROGRAM else RESET
