@@ -128,19 +128,26 @@ def test_a_payload_and_a_tilted_base_are_in_the_c_of_the_wam() -> None:
     assert "Not in it" not in model_code(model)
 
 
-def test_the_planar_arm_in_c_is_its_equation() -> None:
+@pytest.mark.parametrize(("mass", "aside"), [(0.0, 0.0), (3.0, 0.0), (3.0, -0.05)])
+def test_the_planar_arm_in_c_is_its_equation(mass: float, aside: float) -> None:
+    """With a load of link 2, in a simulation too: it may lie beside the link's line."""
     model = load_model(MODELS / "imi_planar.toml")
+    carried = {"mass": mass, "com_x": 0.25, "com_y": aside, "com_z": 0.0, "inertia": 0.0}
+    load = Term("payload", 2, {k: Quantity(v) for k, v in carried.items()})
+    model = model.with_terms((*model.terms, *([load] if mass else [])))
     rec = simulate(probe(model), model, seconds=0.5, flags=STRICT)
     (_q1, q2), (v1, v2), (a1, a2) = rec["q"].T, rec["qd"].T, rec["qdd"].T
-    c, s = 0.242 * np.cos(q2), 0.242 * np.sin(q2)
+    p3, beside, away = 0.242 + mass * 0.36 * 0.25, mass * 0.36 * aside, 0.25**2 + aside**2
+    p1, p2 = 3.473 + mass * (0.36**2 + away), 0.196 + mass * away
+    c, s = (p3 * np.cos(q2) - beside * np.sin(q2), p3 * np.sin(q2) + beside * np.cos(q2))
     first = (
-        (3.473 + 2 * c) * a1
-        + (0.196 + c) * a2
+        (p1 + 2 * c) * a1
+        + (p2 + c) * a2
         - s * v2 * (2 * v1 + v2)
         + 5.3 * v1
         + 8.45 * np.tanh(v1 / 0.02)
     )
-    second = (0.196 + c) * a1 + 0.196 * a2 + s * v1**2 + 1.1 * v2 + 2.35 * np.tanh(v2 / 0.02)
+    second = (p2 + c) * a1 + p2 * a2 + s * v1**2 + 1.1 * v2 + 2.35 * np.tanh(v2 / 0.02)
     assert np.abs(rec["tau"] - np.stack([first, second], axis=1)).max() < 1e-9 and np.all(
         rec["g"] == 0
     )

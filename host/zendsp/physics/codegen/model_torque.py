@@ -15,7 +15,7 @@ from zendsp.physics.codegen.terms import Line, lines, sign_function
 from zendsp.physics.kernel.native import build
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.simulation.native import simulator_library
-from zendsp.physics.simulation.plant import joint_count, tree_of, with_bodies
+from zendsp.physics.simulation.plant import aside_of, joint_count, tree_of, with_bodies
 from zendsp.physics.term_numbers import kernel_model
 
 Array = npt.NDArray[np.float64]
@@ -119,7 +119,8 @@ def _opened(source: str) -> tuple[Any, Any]:
 def _rigid(model: Model, q: Array, qd: Array, qdd: Array) -> Array:
     if model.kind == "planar2r":
         p1, p2, p3 = (model.mechanism[k][0].value for k in ("p1", "p2", "p3"))
-        c, s = p3 * np.cos(q[:, 1]), p3 * np.sin(q[:, 1])
+        turned = q[:, 1] + aside_of(model)
+        c, s = p3 * np.cos(turned), p3 * np.sin(turned)
         first = (
             (p1 + 2 * c) * qdd[:, 0]
             + (p2 + c) * qdd[:, 1]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from zendsp.errors import ModelError
 from zendsp.physics.codegen.terms import Variable, number
 from zendsp.physics.model import TREES, Model, per_joint
-from zendsp.physics.simulation.plant import tree_of
+from zendsp.physics.simulation.plant import aside_of, tree_of
 
 Array = npt.NDArray[np.float64]
 
@@ -96,8 +96,12 @@ def _planar(model: Model) -> tuple[list[Variable], str, str, str]:
         Variable(f"model_{k}", model.mechanism[k][0].value, "kg m^2", text)
         for k, text in words.items()
     ]
+    at = "pos[1]"
+    if aside := aside_of(model):
+        variables.append(Variable("model_p3_angle", aside, "rad", "of a load beside link 2's line"))
+        at = "pos[1] + model_p3_angle"
     rigid = (
-        "    const double c = model_p3 * cos(pos[1]), s = model_p3 * sin(pos[1]);\n"
+        f"    const double c = model_p3 * cos({at}), s = model_p3 * sin({at});\n"
         "    torque[0] = (model_p1 + 2.0 * c) * acc[0] + (model_p2 + c) * acc[1]"
         " - s * vel[1] * (2.0 * vel[0] + vel[1]);\n"
         "    torque[1] = (model_p2 + c) * acc[0] + model_p2 * acc[1] + s * vel[0] * vel[0];\n"

@@ -42,7 +42,7 @@ _FLAGS = (*FAST, "-std=gnu11", "-D_GNU_SOURCE")  # dl_iterate_phdr, of declared.
 CDEF = """
 typedef struct {
     int32_t joints, kind, inner, load_sensor, hold, effects;
-    double period, delay, p1, p2, p3, gravity[3];
+    double period, delay, p1, p2, p3, p3_angle, gravity[3];
     double inertia[8], weight[8], gain[8], limit[8], resolution[8];
     double command_matrix[64], sensor_matrix[64], sensor_offset[8], q0[8], qd0[8];
     const double *tree; const int32_t *effect, *effect_joint; const double *effect_p;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -28,6 +29,7 @@ from zendsp_protocol.texts import counted
 Array = npt.NDArray[np.float64]
 
 KINDS = {"rotary": 0, "linear": 0, "planar2r": 1, "urdf": 2, "mjcf": 2}
+ASIDE = "p3_angle"  # rad, in the mechanism: see ``aside_of``
 INNER = 4  # integration steps per sample where nothing else is asked for
 
 
@@ -81,6 +83,13 @@ def tree_of(model: Model) -> tuple[Array, Array]:
     return _rows(changed(bodies, terms)), turned_gravity(gravity, terms).copy()
 
 
+def aside_of(model: Model) -> float:
+    """The angle at which the second link of a ``planar2r`` carries what its p3 is, rad from its
+    line: p3 cos(q2 + angle).
+    """
+    return model.mechanism.get(ASIDE, (Quantity(0.0),))[0].value
+
+
 def with_bodies(model: Model) -> Model:
     """The model with its payloads taken into the parameters of its mechanism, where its kind has no
     links of its own.
@@ -104,7 +113,8 @@ def with_bodies(model: Model) -> Model:
     for term in terms:
         mass, x, y = (term.value(key) for key in ("mass", "com_x", "com_y"))
         about_axis = mass * (x**2 + y**2) + term.value("inertia")
-        if term.effect != "payload" or model.kind not in ("planar2r", "rotary") or y != 0.0:
+        known = model.kind == "planar2r" or (model.kind == "rotary" and y == 0.0)
+        if term.effect != "payload" or not known:
             raise ModelError(
                 f"{model.name}: {term.effect} of joint {term.joint} with com_y = {y:g} m cannot be"
                 f" simulated with kind = {model.kind!r}: use a payload with com_y = 0, or a URDF"
@@ -127,8 +137,13 @@ def with_bodies(model: Model) -> Model:
             ("p1", mass * l1**2 + about_axis),
             ("p2", about_axis),
             ("p3", mass * l1 * x),
+            (ASIDE, mass * l1 * y),
         ):
             add(key, 1, value)
+    along, aside = (mechanism.get(key, [Quantity(0.0)])[0].value for key in ("p3", ASIDE))
+    if aside:
+        mechanism["p3"] = [replace(mechanism["p3"][0], value=math.hypot(along, aside))]
+        mechanism[ASIDE] = [Quantity(math.atan2(aside, along), free=False)]
     kept = tuple(t for t in model.terms if not any(t is term for term in terms))
     return replace(model, mechanism={k: tuple(v) for k, v in mechanism.items()}, terms=kept)
 
@@ -234,6 +249,7 @@ class Plant:
             c.gravity = gravity.tolist()
         elif model.kind == "planar2r":
             c.p1, c.p2, c.p3 = (model.mechanism[k][0].value for k in ("p1", "p2", "p3"))
+            c.p3_angle = aside_of(model)
         else:
             c.inertia = _mechanism(model, "inertia" if model.kind == "rotary" else "mass", n)
             c.weight = _mechanism(model, "gravity", n) if model.kind == "rotary" else [0.0] * n

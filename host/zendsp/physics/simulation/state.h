@@ -18,6 +18,7 @@ typedef struct sim_config {
     double period;               /* s */
     double delay;                /* s, of every command */
     double p1, p2, p3;           /* planar2r, kg m^2 */
+    double p3_angle;             /* rad, of what link 2 carries beside its line */
     double gravity[3];           /* tree, m/s^2 */
     /* diagonal: kg m^2 or kg; torque = weight sin(q) */
     double inertia[SIM_MAX], weight[SIM_MAX];

@@ -46,7 +46,7 @@ static void inertia(const sim *S, const double *x, tree_pose *pose, double *M) {
         tree_place(n, S->c.tree, x, pose);
         tree_mass(n, S->c.tree, pose, M);
     } else if (S->c.kind == SIM_PLANAR2R) {
-        const double c = S->c.p3 * cos(x[1]);
+        const double c = S->c.p3 * cos(x[1] + S->c.p3_angle);
         M[0] = S->c.p1 + 2 * c;
         M[1] = M[2] = S->c.p2 + c;
         M[3] = S->c.p2;
@@ -62,7 +62,7 @@ static void bias(const sim *S, const double *x, const double *v, const tree_pose
     if (S->c.kind == SIM_TREE)
         tree_torque(S->c.joints, S->c.tree, pose, S->c.gravity, v, 0, out);
     else if (S->c.kind == SIM_PLANAR2R) {
-        const double s = S->c.p3 * sin(x[1]);
+        const double s = S->c.p3 * sin(x[1] + S->c.p3_angle);
         out[0] = -s * v[1] * (2 * v[0] + v[1]);
         out[1] = s * v[0] * v[0];
     } else
