@@ -62,10 +62,11 @@ ARM = MachineInfo(name="arm", joints=(SHAFT, SHAFT))
 
 
 @contextmanager
-def started(folder: Path, xml: str, name: str) -> Iterator[Target]:
+def started(folder: Path, xml: str, name: str, seed: int = 1) -> Iterator[Target]:
     file = folder / f"{name}.xml"
     file.write_text(xml)
-    with zendsp.local(str(file), clock="fast", options=["--speed", "100"]) as target:
+    options = ["--speed", "100", "--machine-option", f"seed={seed}"]
+    with zendsp.local(str(file), clock="fast", options=options) as target:
         yield target
 
 
@@ -159,14 +160,20 @@ def test_a_mujoco_model_that_is_called_as_a_shipped_machine_is_not_taken_for_it(
 def test_a_bar_that_may_not_go_round_is_measured_and_swung_within_its_range(
     tmp_path: Path,
 ) -> None:
+    # of the file, by mujoco: 0.8 kg on 0.15 m; the capsule's caps belong to the inertia
+    truth = {"inertia1": 0.026569, "weight_sine1": 1.1772, "weight_cosine1": 0.0,
+             "coulomb1": 0.15, "viscous1": 0.03}  # fmt: skip
+    copies = []
+    for seed in (1, 2, 3):  # of the noise: what is stated of it differs by three from copy to copy
+        with started(tmp_path, BAR, "bar", seed) as target:
+            copies.append(run_experiment("mechanical", Lab(tmp_path / str(seed), target)).values)
+    for name, true in truth.items():
+        each = sorted((copy[name] for copy in copies), key=lambda e: e.std)
+        assert all(abs(e.value - true) < 4 * e.std for e in each), (name, each)
+        near({name: each[1]}, {name: true}, 0.03)
     with started(tmp_path, BAR, "bar") as target:
         lab = Lab(tmp_path, target)
         found = run_experiment("mechanical", lab)
-        # of the file, by mujoco: 0.8 kg on 0.15 m; the capsule's caps belong to the inertia
-        truth = {"inertia1": 0.026569, "weight_sine1": 1.1772, "coulomb1": 0.15, "viscous1": 0.03}
-        near(found.values, truth, 0.03)
-        # 0.0012 N m from copy to copy, of which 0.0016 to 0.0036 are stated
-        near(found.values, {"weight_cosine1": 0.0}, 0.05)
         assert found.mechanism["gravity"].value == found.values["weight_sine1"].value
         swung = run_experiment("swing", lab).values
         assert swung["closed_loop_final_error"].value < 0.05

@@ -20,10 +20,7 @@ from zendsp.link.put_back import Before
 
 WEAK = {"Kp1": 5.0, "Kd1": 5.0}  # the arm lags 1 rad behind its circle
 STRONG = {"Kp1": 2000.0, "Kd1": 120.0}
-# N m a sample. The circle itself: 2.8, a count of the encoder times Kd. A fade of 500 samples makes
-# Kp grow by 16/9 (2000 - 5) / 500 = 7.1 N m/rad at its fastest, and the arm is 1 rad behind at the
-# most. In 13 fades it was 2.4 to 5.01; in one sample Kp grows by 1995 N m/rad
-STEP = 2.8 + 7.1
+STEP = 5.0  # N m a sample; the circle itself: 2.8, a count of the encoder times Kd
 
 
 @pytest.fixture
