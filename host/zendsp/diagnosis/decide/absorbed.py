@@ -13,8 +13,8 @@ from dataclasses import replace
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.findings import Estimate, Finding, number
-from zendsp.diagnosis.decide.moved import FAR, given_off, one_factor, point_of, times
+from zendsp.diagnosis.decide.findings import Estimate, Finding
+from zendsp.diagnosis.decide.moved import FAR, given_off, known_point, one_factor, times
 from zendsp.diagnosis.decide.pieces import finest
 from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import difference
@@ -171,11 +171,8 @@ def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
         ratio, _, amount, std = moves[key]
         grown.append(Estimate(amount, math.hypot(std, TOLERANCE * amount / ratio), unit))
     inertia, weight = grown
-    body = point_of(inertia, weight)
-    if any(known.value < FAR * known.std for known in body.values()):
-        return ""
-    mass, reach = (number(body[key]) for key in ("mass", "com_x"))
-    return f" A payload of {mass} at {reach} from the axis would do both."
+    where = known_point(inertia, weight)
+    return f" A payload of {where} from the axis would do both." if where else ""
 
 
 def _gain(joint: int, factor: float, std: float) -> Finding:

@@ -65,11 +65,8 @@ def _along_link(given: Model, far: Sequence[_Number]) -> str:
         )
         for n, times, unit in ((grown["p2"], 1.0, "kg m²"), (grown["p3"], G / length, "N m"))
     )
-    body = point_of(inertia, weight)
-    if any(known.value < FAR * known.std for known in body.values()):
-        return ""
-    mass, reach = (number(body[key]) for key in ("mass", "com_x"))
-    return f"; {mass} at {reach} along link 2 would do that to p2 and p3"
+    where = known_point(inertia, weight)
+    return f"; {where} along link 2 would do that to p2 and p3" if where else ""
 
 
 def friction_moved(given: Model, calibrated: Model, joint: int) -> bool:
@@ -162,6 +159,16 @@ def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
         "mass": Estimate(mass, abs(mass) * math.hypot(2.0 * of_weight, of_inertia), "kg"),
         "com_x": Estimate(reach, reach * math.hypot(of_weight, of_inertia), "m"),
     }
+
+
+def known_point(inertia: Estimate, weight: Estimate) -> str:
+    """The mass and place of such a point, in words; empty where it may be next to nothing, or
+    anywhere.
+    """
+    body = point_of(inertia, weight)
+    if any(known.value < FAR * known.std for known in body.values()):
+        return ""
+    return f"{number(body['mass'])} at {number(body['com_x'])}"
 
 
 def times(change: float) -> str:
