@@ -58,6 +58,14 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         if not any(c is t for t in twin) and _is_likely(c, decision, parts)
     ]
     likely, alone, ahead, fell = _standing(likely, decision, parts, given, jobs)
+    first = _may_lack_a_law(ahead, decision, parts)
+    others = [c for c in decision.claims if c is not first and id(c) in fell]
+    if first is not None and others:  # they may stand beside its mechanism
+        more = [replace(first, effect="unknown"), *likely, *others]
+        beside = _standing(more, decision, parts, given, jobs)
+        laws = {c.effect for c in beside[0] if c.effect != "unknown"}
+        if told_apart(first, decision, parts, given, laws):
+            likely, alone, ahead, fell = beside
     laws = {c.effect for c in likely if c.effect != "unknown"}
     most = _beside_doubted(likely, fell, alone, decision, parts, given, jobs)
     keep, more = [], list(decision.refinements)
@@ -71,13 +79,8 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
                 keep.append(without_law(claim, decision))
         elif claim.mechanism not in doubted and key in ahead:
             keep.append(replace(claim, ahead=ahead[key], most=most.get(key, 1.0)))
-        elif (
-            claim is decision.claims[0]
-            and claim.mechanism in STRUCTURED
-            and not claim.is_constant  # which is a function of any variable
-            and claim.size > max(decision.after.value, OF_STATE)
-            and not _turns_otherwise(claim, decision, parts)
-            and told_apart(claim, decision, parts, given, laws - {claim.effect})
+        elif claim is first and told_apart(
+            claim, decision, parts, given, laws - {claim.effect}
         ):
             keep.append(replace(without_law(claim, decision), why=why))
             doubted.add(claim.mechanism)
@@ -89,6 +92,26 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     rubbing = {c.mechanism for c in keep if c.effect != "unknown"} & set(FRICTION)
     keep = [c if rubbing else by_its_variables(c, decision, parts, given) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
+
+
+def _may_lack_a_law(
+    lawful: Collection[int], decision: Decision, parts: Parts
+) -> Claim | None:
+    """The first claim, where it is not ``lawful``, by ``id``, and a mechanism that may act without a
+    law: its variables may tell it from others', and it explains more than it leaves.
+    """
+    claim = next(iter(decision.claims), None)
+    if (
+        claim is None
+        or claim.effect == "unknown"
+        or id(claim) in lawful
+        or claim.mechanism not in STRUCTURED
+        or claim.is_constant  # which is a function of any variable
+        or claim.size <= max(decision.after.value, OF_STATE)
+        or _turns_otherwise(claim, decision, parts)
+    ):
+        return None
+    return claim
 
 
 def _standing(
@@ -187,7 +210,7 @@ def _is_likely(claim: Claim, decision: Decision, parts: Parts) -> bool:
 
 def _without_others(claims: Sequence[Claim], decision: Decision, given: Model, jobs: int) -> Scored:
     """Some of the claims by themselves."""
-    rest = [c for c in decision.claims if not any(c is k for k in claims)]
+    rest = [c for c in decision.claims if not any(c.term is k.term for k in claims)]
     if not claims or not rest:
         return decision.alone
     others = [*decision.refinements, *rest]
