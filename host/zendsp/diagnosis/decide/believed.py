@@ -64,8 +64,9 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         more = [replace(first, effect="unknown"), *likely, *others]
         beside = _standing(more, decision, parts, given, jobs)
         laws = {c.effect for c in beside[0] if c.effect != "unknown"}
-        if told_apart(first, decision, parts, given, laws):
-            likely, alone, ahead, fell = beside
+        if laws and told_apart(first, decision, parts, given, laws):
+            own = {key: why for key, why in fell.items() if key == id(first)}
+            likely, alone, ahead, fell = *beside[:3], {**own, **beside[3]}
     laws = {c.effect for c in likely if c.effect != "unknown"}
     most = _beside_doubted(likely, fell, alone, decision, parts, given, jobs)
     keep, more = [], list(decision.refinements)
@@ -94,10 +95,8 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
 
 
-def _may_lack_a_law(
-    lawful: Collection[int], decision: Decision, parts: Parts
-) -> Claim | None:
-    """The first claim, where it is not ``lawful``, by ``id``, and a mechanism that may act without a
+def _may_lack_a_law(lawful: Collection[int], decision: Decision, parts: Parts) -> Claim | None:
+    """The first claim, where it is not ``lawful``, by ``id``, and its mechanism may act without a
     law: its variables may tell it from others', and it explains more than it leaves.
     """
     claim = next(iter(decision.claims), None)
