@@ -189,6 +189,7 @@ def test_a_doubted_mechanism_is_stated_only_where_its_variables_predict_most_of_
     monkeypatch.setattr(
         nameless, "structure", lambda *to, **_: seen.get(to[-1][0], Structure(0.0, 0.0, 0.0))
     )
+    monkeypatch.setattr(nameless, "_hardly_varies", lambda *_: False)
     base: Any = SimpleNamespace(model=model())
     found = of_one_claim(claim, 0.33, 0.21, base)
     parts: Any = SimpleNamespace(each=())

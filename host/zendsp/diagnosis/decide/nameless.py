@@ -32,6 +32,7 @@ from zendsp.diagnosis.decide.thresholds import (
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import STRUCTURED, TAKEN, structure
+from zendsp.physics.calibration.observed import trace
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term
 
@@ -132,9 +133,11 @@ def told_apart(
         return decision.after.value < max(SIMULATORS_DIFFER, LEFT_BY_A_LAW * claim.size)
     if get_effect(claim.term.effect).constant:
         return True
-    if decision.after.value < SIMULATORS_DIFFER:
-        return True
     if _has_memory(claim, decision):
+        return True
+    if _hardly_varies(claim, decision, parts):
+        return False
+    if decision.after.value < SIMULATORS_DIFFER:
         return True
     model, joint = decision.base.model, decision.joint
     if laws:
@@ -155,6 +158,24 @@ def _has_memory(claim: Claim, decision: Decision) -> bool:
     law, left = claim.term.effect, LEFT_BY_A_LAW * claim.size
     remembers = law != "unknown" and get_effect(law).hidden
     return remembers and decision.state.share < PREDICTED and decision.after.high < left
+
+
+def _hardly_varies(claim: Claim, decision: Decision, parts: Parts) -> bool:
+    """Whether the laws that draw a mechanism draw mostly a constant, of which no one knows on what
+    it depends.
+    """
+    patches = [c.term for c in decision.refinements if c.mechanism == claim.mechanism]
+    laws = tuple(
+        t
+        for t in (claim.term, *patches)
+        if t.effect != "unknown" and not get_effect(t.effect).hidden
+    )
+    if not laws:
+        return False
+    model, joint = decision.final.model, decision.joint
+    drawn = [trace(rec[joint - 1], model, laws, 0.0) for rec in parts.test.records]
+    torque = np.concatenate(drawn)
+    return bool(np.mean(torque) ** 2 > PREDICTED * np.mean(torque**2))
 
 
 def _least(mechanism: str) -> float:
