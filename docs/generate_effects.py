@@ -87,7 +87,7 @@ FILM = Effect(
 | `linear` | parameters in which it is linear: one least squares screens them |
 | `grid` | values of the other parameters to screen, in units of the recording's own scales, or a function of its `Facts` |
 | `essence`, `shape` | parameters without which, at zero or at a bound, it is not itself (the one that it is linear in where empty); a parameter that means nothing without any size |
-| `needs`, `replaces` | effects without which it means nothing (`dry`: any dry friction, `friction`: also viscous); effects that it contains as special cases |
+| `needs`, `replaces`, `instead_of` | effects without which it means nothing (`dry`: any dry friction, `friction`: also viscous); effects that it contains as special cases; found effects that imitate it, in whose place it is tried |
 | `reads` | optional columns of a recording (`temperature`) that it needs; where one is missing the report says so |
 | `sized` | reports say the smallest size of it that the recordings would have shown |
 | `slow` | a fast observer follows it: it is fitted under a slow one |

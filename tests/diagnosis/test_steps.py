@@ -156,6 +156,28 @@ def test_backlash_replaces_a_given_spring_but_not_a_found_one() -> None:
     assert not simulated(data, model, 1, frozenset({"backlash"}), 1, model_of(VISCOUS, COULOMB))
 
 
+def test_a_gap_that_a_stiffening_spring_imitates_takes_its_place() -> None:
+    """No start of its own led to a gap of 0.9 mrad. A spring that stiffens took its place, was no
+    finding, and a Stribeck curve beside it was none either.
+    """
+    machine = reality.Machine(gap=0.002, load=0.005)
+    columns = reality.simulate(machine, reality.multisine(6.0, RATE, 3), RATE)
+    spring = {
+        "kind": "stiffening", "joint": 1, "stiffness": 0.1, "stiffness3": 3e6, "damping": 0.05,
+        "load_inertia": 0.005,
+    }  # fmt: skip
+    found = model_of(VISCOUS, COULOMB, spring)
+    data, given = data_of(columns, found), model_of(VISCOUS, COULOMB)
+    (group,) = simulated(data, found, 1, frozenset({"backlash"}), 1, given)
+    assert {c.replaces for c in group} == {("stiffening",)}
+    fitted = []
+    for candidate in group:
+        model = with_candidate(found, candidate)
+        fitted.append(fit_scored(data, model, joint_handles(data, model, 1), (1,)))
+    best = min(fitted, key=lambda f: f.deviance)
+    assert best.model.terms[-1].value("gap") == pytest.approx(0.002, rel=0.03)
+
+
 @pytest.mark.parametrize("hertz", [6.1, 10.2])
 def test_a_spring_is_found_wherever_its_resonance_lies(hertz: float) -> None:
     load, motor = 0.004, 0.006

@@ -145,7 +145,8 @@ def simulated(
             if get_effect(name).sole and get_effect(name).family == effect.family
         }
         had = {t.effect for t in given.at(joint)} if given is not None else set()
-        if effect.sole and kin - set(effect.replaces) - had:  # an effect found already stays
+        others = kin - {*effect.replaces, *effect.instead_of}
+        if effect.sole and others - had:  # an effect found already stays
             continue
         beneath = [model]
         if effect.family == "transmission" and given is not None:
@@ -213,7 +214,8 @@ def scan(
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
     listed = []
     for model in models:
-        old = next((t for t in model.at(joint) if t.effect in effect.replaces), None)
+        imitate = (*effect.replaces, *effect.instead_of)
+        old = next((t for t in model.at(joint) if t.effect in imitate), None)
         numbers = {name: q.value for name, q in old.parameters.items()} if old else {}
         listed += [
             (make_term(effect, joint, dict(values)), model)

@@ -20,10 +20,16 @@ from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
 GAPS = (0.001, 0.0025, 0.006, 0.015, 0.04)  # shares of the motion's range
 SHARES = tuple(1.0 - 0.92 * 0.9**i for i in range(16))  # of the inertia, on the load
 RESONANCE = 35.0  # Hz
+# A spring that stiffens imitates a gap: times its bend at the typical torque, and its stiffness
+# there
+BENDS = (0.2, 0.35, 0.6, 1.0, 1.6)
+STIFFER = (1.0, 3.0, 10.0)
 
 
 def _starts(facts: Facts) -> Sequence[Numbers]:
     """A gap is found from a lossy contact: a bouncing one has no gradient to follow."""
+    if "stiffness3" in facts.replaced:
+        return _in_place_of_a_spring(facts)
     starts = []
     for gap, share in itertools.product(GAPS, SHARES):
         stiffness, load = resonance(facts, RESONANCE, share), share * facts.inertia
@@ -38,6 +44,25 @@ def _starts(facts: Facts) -> Sequence[Numbers]:
             }
         )
     return starts
+
+
+def _in_place_of_a_spring(facts: Facts) -> list[Numbers]:
+    spring = facts.replaced
+    soft, cubic, load = (spring[key] for key in ("stiffness", "stiffness3", "load_inertia"))
+    torque = facts.scale.torque * load / facts.inertia
+    begins = math.sqrt(soft / (3.0 * max(cubic, 1e-12)))  # the bend at which it is twice as stiff
+    bend = 2.0 * begins * math.sinh(math.asinh(1.5 * torque / (soft * begins)) / 3.0)
+    there = soft + 3.0 * cubic * bend**2
+    return [
+        {
+            "gap": wide * bend,
+            "stiffness": hard * there,
+            "load_inertia": load,
+            "damping": 0.8 * math.sqrt(hard * there * load),
+            "links_inertia": facts.links,
+        }
+        for wide, hard in itertools.product(BENDS, STIFFER)
+    ]
 
 
 EFFECT = Effect(
@@ -80,6 +105,7 @@ EFFECT = Effect(
     loosens_inertia=True,
     family="transmission",
     sole=True,
+    instead_of=("stiffening",),
     shown_by=("position_load",),
     why_not="within the gap no torque reaches the load",
     rivals=("elasticity", "presliding"),

@@ -352,6 +352,8 @@ class Effect:
         Depends on a joint's angle, once a turn; not for joints that slide.
     replaces : tuple of str
         Terms of a given model that this effect contains as a special case.
+    instead_of : tuple of str
+        Found effects that imitate this one, in whose place and from whose numbers it is tried.
     needs : tuple of str
         Terms without which it has no meaning: names of effects, ``"dry"`` for any dry friction
         level, ``"friction"`` also for viscous.
@@ -419,6 +421,7 @@ class Effect:
     shown_by: tuple[str, ...] = ()
     turns: bool = False
     replaces: tuple[str, ...] = ()
+    instead_of: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
     symmetric: str = ""
