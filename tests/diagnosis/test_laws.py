@@ -89,7 +89,7 @@ def test_a_doubted_law_leaves_its_mechanism_claimed_where_it_explains_more_than_
         ("dead_zone", ("position_torque", 0.021), 0.0, True),  # nothing is left of the state
         ("dead_zone", ("position_torque", 0.025), 0.0, False),
         ("coulomb", ("fluid_friction", 0.030), 0.01, True),  # functions of the same variables
-        ("torque_offset", ("dry_friction", 0.030), 0.01, True),  # and of any
+        ("torque_offset", ("dry_friction", 0.010), 0.0, False),  # of any: it tells nothing
     ],
 )
 def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lacks(
@@ -106,6 +106,7 @@ def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lac
         return Structure(sizes.get(to[-1][0], 0.0), 0.9, 5.0)
 
     monkeypatch.setattr(nameless, "structure", predicted)
+    monkeypatch.setattr(nameless, "_hardly_varies", lambda c, *_: c.is_constant)
     model: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
     found = replace(of_one_claim(claim, 0.03, 0.01, model), state=Structure(left, 0.9, 5.0))
     outcome = believed.believed(found, SimpleNamespace(each=()), None, 1)  # type: ignore[arg-type]
@@ -286,6 +287,7 @@ def test_friction_beside_a_curve_over_position_is_claimed_where_nothing_is_left(
     rubs = claim_of(Term("coulomb", 1, {}), 0.1)
     ripple = claim_of(Term("ripple", 1, {}), 0.1)  # of a curve over position it is a part
     monkeypatch.setattr(nameless, "structure", lambda *_: Structure(0.5, 9.0, 1.0))
+    monkeypatch.setattr(nameless, "_hardly_varies", lambda *_: False)
     monkeypatch.setattr(believed, "_ahead", lambda *_: 0.0)
     outcome = replace(of_one_claim(curve, 1.2, left), claims=(curve, rubs, ripple))
     nothing: Any = SimpleNamespace(each=(), model=None, test=None)
@@ -312,6 +314,7 @@ def test_the_mechanism_of_an_unknown_torque_is_judged_beside_the_named_laws(
         return Structure(0.1 if of[model] in mechanisms else 0.0, 9.0, 1.0)
 
     monkeypatch.setattr(nameless, "structure", most)
+    monkeypatch.setattr(nameless, "_hardly_varies", lambda *_: False)
     monkeypatch.setattr(nameless, "beside_unknown", lambda *_: beside)
     monkeypatch.setattr(believed, "confidence", lambda *_: named)
     monkeypatch.setattr(believed, "stated", lambda claim, _: named > 0.5)

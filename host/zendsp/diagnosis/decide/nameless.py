@@ -127,12 +127,10 @@ def told_apart(
     """Whether this mechanism's variables predict the missing torque beside the named ``laws`` as
     well as those of every other mechanism. Where its own laws leave nothing over the state, they
     may predict a little less. A mechanism without a law is known by its variables alone; one that
-    has none, as a measurement, by what it leaves. (A constant is a function of any variable.)
+    has none, as a measurement, by what it leaves. A constant, a function of any variable, is none.
     """
     if claim.mechanism not in STRUCTURED:
         return decision.after.value < max(SIMULATORS_DIFFER, LEFT_BY_A_LAW * claim.size)
-    if get_effect(claim.term.effect).constant:
-        return True
     if _has_memory(claim, decision):
         return True
     if _hardly_varies(claim, decision, parts):
