@@ -9,14 +9,15 @@ from zendsp.physics.model import Model
 
 
 def two_links(
-    start: float = 0.0, load: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start: float = 0.0, load: tuple[float, float, float] = (0.0, 0.0, 0.0), rotor: float = 0.0
 ) -> dict[str, np.ndarray]:
     """An arm with p1, p2, p3 = 0.4, 0.09, 0.075 kg m² along a multisine, with dry friction; from a
-    time on, s. Its second link carries a ``load``, kg, at x and y, m, from joint 2.
+    time on, s. Its second link carries a ``load``, kg, at x and y, m, from joint 2; motor 1 has a
+    further ``rotor``, kg m².
     """
     mass, x, y = load
     p2, p3, aside = 0.09 + mass * (x**2 + y**2), 0.075 + mass * 0.3 * x, mass * 0.3 * y
-    p1 = 0.4 + mass * (0.3**2 + x**2 + y**2)
+    p1 = 0.4 + rotor + mass * (0.3**2 + x**2 + y**2)
     t = np.arange(0.0, 8.0, 0.002)
     f, phase = np.array([[0.3, 0.7, 1.1], [0.4, 0.9, 1.3]]), np.array([[0, 1, 2], [2, 0, 1]])
     w = 2 * np.pi * f[:, :, None]

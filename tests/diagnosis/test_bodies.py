@@ -324,6 +324,19 @@ def test_a_payload_that_calibration_of_a_planar_arm_takes_up_is_named(
     assert d.test is not None and d.test.improved < 1.02 * d.test.calibrated
 
 
+def test_a_rotor_that_a_planar_arms_model_lacks_is_no_load_at_its_elbow(tmp_path: Path) -> None:
+    """A rotor of joint 1 was a payload of 2.465 kg, 0.02 mm from the axis of joint 2 (97 %)."""
+    for name, start in (("fit", 0.0), ("test", 40.0)):
+        np.savez(tmp_path / f"{name}.npz", **two_links(start, rotor=0.08))
+    numbers = {"p1": 0.4, "p2": 0.09, "p3": 0.075, "l1": 0.3, "l2": 0.3}
+    held = {key: (Quantity(value, False),) for key, value in numbers.items()}
+    rubs = [Term("coulomb", j, {"level": Quantity(f)}) for j, f in ((1, 0.25), (2, 0.12))]
+    given = replace(plane_model(), mechanism=held, terms=tuple(rubs))
+    d = zendsp.diagnose([tmp_path / "fit.npz"], given, [tmp_path / "test.npz"], jobs=1)
+    assert [(f.effect, f.joint) for f in d.findings] == [("inertia", 1)]
+    assert d.findings[0].parameters["amount"].value == pytest.approx(0.08, rel=0.02)
+
+
 @pytest.mark.parametrize(("law", "stands"), [("lag", True), ("torque_offset", False)])
 def test_beside_a_body_a_mechanism_without_a_law_stands_but_for_a_constant(
     law: str, stands: bool

@@ -382,9 +382,21 @@ def _round(
         own = best.hypothesis.joint and best.hypothesis.effect != "zero"
         if best.hypothesis.of_bodies or not own or not seen(best, limits):
             return tried, frozenset(aside), first
-        if not aside and any(e.hypothesis.of_bodies and seen(e, limits) for e in tried):
+        bodies = [e for e in tried if e.hypothesis.of_bodies and seen(e, limits)]
+        if best.hypothesis.effect == "inertia":
+            bodies = [e for e in bodies if not _on_its_axis(e, limits)]
+        if not aside and bodies:
             first = tried
         aside.add(best.hypothesis.joint)
+
+
+def _on_its_axis(one: Explained, limits: BodyLimits) -> bool:
+    """Whether a body lies so near to its joint's axis, to which only chance would have put it, that
+    it is no more than an inertia of the joint before.
+    """
+    centre = [key in COM for key in one.hypothesis.free]
+    away, unsure = one.values[centre], limits.shown * one.std[centre]
+    return float(np.linalg.norm(away)) < limits.same or bool(np.all(np.abs(away) < unsure))
 
 
 def own_mass(

@@ -30,7 +30,7 @@ from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Quantity, Term, per_joint
-from zendsp.physics.robots.bodies import Links, body_terms, change_of, turned_gravity
+from zendsp.physics.robots.bodies import NUMBERS, Links, body_terms, change_of, turned_gravity
 from zendsp.physics.robots.rigid import SMALL
 
 Array = npt.NDArray[np.float64]
@@ -297,6 +297,8 @@ class Layout:
         elif h.effect == "zero":
             turned = [self.zero + joint - 1 for joint in turned_joints(h)]
             x[:, [*turned, *range(self.mechanism, self.own)]] = values
+        elif h.effect == "inertia":
+            x[:, NUISANCE + 10 * (h.joint - 1) + NUMBERS.index("izz")] = values[0]
         elif h.effect == "calibration":
             x[:, self.mechanism : self.own] = values
         elif h.effect == "torque_gain":

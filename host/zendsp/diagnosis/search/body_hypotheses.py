@@ -83,6 +83,7 @@ COST = {
     "body": 1.0,
     "base_tilt": 1.0,
     "torque_gain": 1.0,
+    "inertia": 1.0,
     "gravity": 3.0,
     "stiffness": 3.0,
     "unknown": 8.0,
@@ -230,6 +231,8 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     if keys := calibrated(model):
         out.append(Hypothesis("calibration", free=keys, cost=RARE))
     out.append(Hypothesis("torque_gain", free=("ratio",), cost=RARE))
+    if flat:  # elsewhere the rotors of all joints are free
+        out.append(Hypothesis("inertia", 1, "", ("amount",), COST["inertia"]))
     turning = [2] if flat else homed(links)
     out += [zeros([joint], model) for joint in turning]
     out += [zeros(turning, model)] if len(turning) > 1 else []

@@ -23,8 +23,8 @@ class Solver:
     hypothesis are predicted.
 
     ``origin``: coefficients of the part of a hypothesis that the model behind the sums has already.
-    ``aside``: joints (1-based) with a fault of their own, whose gain and functions of position are
-    nuisance too. Without ``rotors`` each motor's inertia is the model's.
+    ``aside``: joints (1-based) with a fault of their own, whose gain, rotor and functions of
+    position are nuisance too. Without ``rotors`` the other motors' inertia is the model's.
     """
 
     def __init__(
@@ -44,7 +44,8 @@ class Solver:
         whole, n = fit.whole, NUISANCE
         free = list(range(n) if rotors else range(n - 1))  # the last column is the rotor's
         own = list(range(layout.own, layout.width))
-        outs = [free + own if j + 1 in aside else free for j in range(layout.joints)]
+        more = [n - 1] if not layout.rotors else []
+        outs = [free + more + own if j + 1 in aside else free for j in range(layout.joints)]
         self.complete = completed(whole, outs)
         # friction between the speeds of the fit says little beyond them, and each recording has
         # its own; a body has not
