@@ -334,6 +334,26 @@ def _lateness(term: Term) -> float:
     return -time if term.effect == "column_shift" else time
 
 
+def _as_saturation(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
+    """The model with a voltage limit that does not fall with the speed replaced by a saturation,
+    where that explains as much. Beside a friction that was still missing it was the likelier one:
+    the fall imitated the friction.
+    """
+    had = {t.effect for t in found.base.model.at(found.joint)}
+    here = {t.effect: t for t in best.model.at(found.joint)}
+    term = here.get("voltage_limit")
+    if term is None or {"voltage_limit", "saturation"} & had or "saturation" in here:
+        return best
+    if not vanishes(with_step_error(best.data, best.fit, (found.joint,)), term):
+        return best
+    gain = abs(facts(best.data.records[0][found.joint - 1]).gain) or 1.0
+    flat = make_term(get_effect("saturation"), found.joint, {"level": term.value("level") / gain})
+    model = best.model.with_terms(tuple(flat if t is term else t for t in best.model.terms))
+    least = best.deviance + price((term,), n) - price((flat,), n)
+    other = _refitted(best.data, model, found.joint, jobs, 2, least)
+    return other if other.deviance < least else best
+
+
 def _as_delay(found: JointSearch, best: Scored, jobs: int) -> Scored:
     """The model with a filter of the position replaced by a late command, where that explains as
     much, but for the noise. Every loop has some delay, and to first order the two are equal.
@@ -359,7 +379,7 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
     best = _as_payload(found, _as_inertia(found, best, n, jobs), n, jobs)
     best = _as_spring(found, best, jobs)
     best = _as_one_time(found, _as_symmetric(found, best, n, jobs), jobs)
-    best = _as_delay(found, best, jobs)
+    best = _as_saturation(found, _as_delay(found, best, jobs), n, jobs)
     best = _as_two_times(found, best, n, jobs)
     dropped: list[str] = []
     added = {t.effect for s in found.steps for t in s.chosen.terms}
