@@ -97,6 +97,10 @@ def dropped_out(c: Columns) -> None:
     c["q"][1000:1020] = c["q"].max() + 17.0
 
 
+def velocity(c: Columns) -> None:
+    c["q"] = np.gradient(c["q"], c["t"])
+
+
 def reference(c: Columns) -> None:
     c["q"] = c["r"].copy()
 
@@ -152,6 +156,7 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "the same run twice": (repeated, "glued"),
     "a sensor that hung": (hung, "the sensor hung, or was not read"),
     "a sensor that dropped out": (dropped_out, "for 20 rows from row 1001"),
+    "a velocity in place of the position": (velocity, "names a velocity as the position"),
     "the set value in place of the position": (reference, "name the column of the sensor"),
     "command of another run": (shifted, "different runs"),
     "time in few digits": (few_digits, "stands still at row 2, at 1700000000: is it written"),

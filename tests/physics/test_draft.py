@@ -317,6 +317,12 @@ def test_a_time_that_jumps_back_is_asked_about() -> None:
     assert f"runs backwards at row {N // 2 + 1}" in asked and "zendsp cut two.csv" in asked
 
 
+def test_a_table_with_a_velocity_alone_is_told_that_this_is_not_enough() -> None:
+    """It was told to name a column q, so the velocity was."""
+    with pytest.raises(RecordingError, match=r"A velocity alone \(qd\) is not diagnosed"):
+        draft_model(Table({"t": T, "qd": T, "u": T}, {}, {}, Path("run.csv")))
+
+
 def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
     with pytest.raises(RecordingError, match=r"no column looks like a position; it has t, a, b"):
         draft_model(Table({"t": T, "a": T, "b": T}, {}, {}, Path("run.csv")))

@@ -99,7 +99,8 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
             stood += _glued(where, y, float(raw.resolution[j]), raw)
             _clipped(where, y, float(raw.resolution[j]), raw.sample_time)
             if raw.reference is not None:
-                _follows(where, y, raw.reference[:, j], model.joint_kind(j + 1))
+                kind = model.joint_kind(j + 1)
+                _follows(where, y, raw.reference[:, j], kind, raw.sample_time)
             notes += _limits(where, raw.command[:, j], per_joint(model.actuator.limit, j + 1, 0.0))
             notes += _seldom(where, raw.command[:, j], raw.sample_time, model.actuator.hold)
     if stood:
@@ -182,20 +183,26 @@ def _seldom(where: str, u: Array, sample_time: float, hold: float | None) -> lis
     ]
 
 
-def _follows(where: str, y: Array, r: Array, kind: str) -> None:
-    """Refuse a reference that is the position, or differs from it by a factor of 180/pi or -1."""
+def _follows(where: str, y: Array, r: Array, kind: str, sample_time: float) -> None:
+    """Refuse a reference that is the position, or differs from it by a factor of 180/pi or -1; and
+    a velocity that is called the position.
+    """
     if np.array_equal(y, r):
         raise RecordingError(
             f"{where}: the position is its reference, to the last digit: [columns] names the set"
             " value in both places; name the column of the sensor"
         )
-    a, b = y - y.mean(), r - r.mean()
-    power = float(b @ b)
-    if power <= 0:
-        return
-    slope = float(a @ b) / power
-    r2 = slope**2 * power / max(float(a @ a), 1e-300)
+    slope, r2 = _on(y, r)
     if r2 < FOLLOWED:
+        # its sum, not the reference's slope: of fast parts the loop follows little
+        rise, r2 = _on(np.cumsum(y) * sample_time, r)
+        if r2 >= FOLLOWED and UNIT_FACTOR[0] < rise < UNIT_FACTOR[1]:
+            raise RecordingError(
+                f"{where}: the position does not follow its reference, but its sum over time does:"
+                " [columns] names a velocity as the position. Name the column of the position; a"
+                " velocity alone is not diagnosed, since a constant error of it would be a drift of"
+                " the position"
+            )
         return
     if slope < OPPOSITE:
         raise RecordingError(
@@ -214,6 +221,14 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
                     f"{where}: the position is {slope:.3g} times its reference: {units} are mixed"
                     f" (the {first} has the larger numbers)"
                 )
+
+
+def _on(y: Array, x: Array) -> tuple[float, float]:
+    """The slope of a regression of ``y`` on ``x``, and its R^2; zeros where ``x`` is constant."""
+    a, b = y - y.mean(), x - x.mean()
+    power = float(b @ b)
+    slope = float(a @ b) / power if power > 0 else 0.0
+    return slope, slope**2 * power / max(float(a @ a), 1e-300)
 
 
 def _limits(where: str, u: Array, limit: float) -> list[str]:

@@ -67,6 +67,7 @@ def read_signals(source: Source, model: Model, tell: Told | None = None) -> Sign
     if "position" not in columns:
         raise RecordingError(
             "the model's [columns] lacks 'position': which column holds the position?"
+            + (" A velocity alone is not diagnosed" if "velocity" in columns else "")
         )
     if isinstance(source, str | Path):
         source = read_table(source, progress=None if tell is None else partial(tell, source))

@@ -95,11 +95,13 @@ def draft_model(
     nothing = f"{', '.join(bare)} hold{'s' if len(bare) == 1 else ''} no finite number"
     if position is None:
         said = "".join(f" ({note})" for note in table.notes if "left out" in note)
+        speed = best_group(groups, Role.VELOCITY)
+        alone = f" A velocity alone ({', '.join(speed.names)}) is not diagnosed." if speed else ""
         raise RecordingError(
             f"{table.path}: no column looks like a position; it has"
             f" {', '.join(told(table.columns))}{f', of which {nothing}' if bare else ''}{said}."
             " Name one q, position or theta, or give its unit: 'x1 [rad]'; a model file of your own"
-            " names any column"
+            f" names any column.{alone}"
         )
     joints = position.values.shape[1]
     known = machine if machine is not None and len(machine.joints) == joints else None
