@@ -7,8 +7,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import reality
 
-from zendsp.diagnosis import Diagnosis
+from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import findings, notes, nothing_named
 from zendsp.diagnosis.decide.contract import (
     Reason,
@@ -20,11 +21,11 @@ from zendsp.diagnosis.decide.contract import (
 )
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.headline import percent, verdict_sentence, word_of
-from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.decide.result import Detectable, Workings
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.structure import Structure
-from zendsp.diagnosis.report import files, html
-from zendsp.diagnosis.report.summary import _sized, unnamed
+from zendsp.diagnosis.report import figures, files, html
+from zendsp.diagnosis.report.summary import _sized, summary, unnamed
 
 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
@@ -51,6 +52,22 @@ def test_the_report_does_not_say_settled_where_the_headline_cannot_tell() -> Non
 def test_the_unit_of_a_pure_number_is_not_read_out() -> None:
     assert _sized(Detectable(1, "actuator", "torque_gain", 0.0025, "1", 0.1)) == "0.0025"
     assert _sized(Detectable(1, "dry_friction", "coulomb", 0.25, "N m", 0.1)) == "0.25 N m"
+
+
+@pytest.mark.parametrize(("every", "said"), [(1, "over 0.25 s ["), (10, "over 0.64 s [")])
+def test_a_report_says_how_long_the_simulations_were_whose_errors_it_states(
+    every: int, said: str, tmp_path: Path
+) -> None:
+    """At 25 Hz a window has 16 rows, not 0.25 s."""
+    columns = reality.simulate(reality.Machine(), reality.multisine(20.0, 250.0, 3), 250.0)
+    kept = {k: v[::every] for k, v in columns.items()}
+    terms = [reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03)]
+    model = reality.model_file(tmp_path / "model.toml", 250.0 / every, *terms)
+    d = diagnose(reality.save(tmp_path / "run.csv", kept), model)
+    assert said in summary(d) and said.replace("over", "within") in html._fit_of(d.errors[0])
+    assert isinstance(d.workings, Workings)
+    panel = figures.error_chart(d, d.workings, 1).panels[0]
+    assert said.removesuffix(" [") in panel.title
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ import zendsp
 from zendsp.demo.controller import not_cancelled, plan_update, slots, sources
 from zendsp.demo.evidence import Judged, judge
 from zendsp.demo.narrator import Narrator
-from zendsp.demo.picture import _missing
+from zendsp.demo.picture import _missing, _position
 from zendsp.demo.run import concealment
 from zendsp.demo.runs import prepare_machine
 from zendsp.demo.stage import get_stage, nominal_model
@@ -369,6 +369,28 @@ def test_the_picture_is_scaled_by_what_it_draws() -> None:
     line = axis.get_lines()[2]  # dots, their colour in the legend, the curve: of one direction
     apart = np.asarray(line.get_ydata()) - np.sin(5 * np.asarray(line.get_xdata()))
     assert line.get_lw() > 1 and np.median(np.abs(apart)) < 0.1
+
+
+@pytest.mark.parametrize("far", [1.6, 1e6])
+def test_the_picture_shows_a_simulation_that_goes_farther_beneath_its_legend(far: float) -> None:
+    """That of a pendulum that its spring held back ran through the legend. One that runs away does
+    not make the machine's motion a flat line.
+    """
+    t = np.arange(1000) / 500.0
+    q = np.sin(2 * np.pi * t)
+
+    class Rows(dict[str, np.ndarray]):
+        sample_time = 0.002
+
+        def __len__(self) -> int:
+            return len(t)
+
+    hidden = SimpleNamespace(position=np.array([0.3]), hides=lambda joint: False)
+    recorded = SimpleNamespace(train=Rows(q=q), simulated=Rows(q=far * q), hidden=hidden)
+    axis = Figure().add_subplot()
+    _position(axis, SimpleNamespace(recorded=recorded, diagnosis=SimpleNamespace(unit="rad")), 1)  # type: ignore[arg-type]
+    low, high = axis.get_ylim()
+    assert low < -min(far, 3.0) and min(far, 3.0) + 0.3 * min(2.0 * far, 6.0) < high < 6.0
 
 
 def test_run_needs_a_folder_for_the_new_recording() -> None:

@@ -92,8 +92,11 @@ def _position(axis: Axes, told: Told, joint: int) -> None:
         f" {joint} differs from its simulation by {size:.3g} m{_unit(told)}",
         loc="left",
     )
+    # where the loop cannot hide it the simulation goes farther; as far again, where it runs away
     span = float(np.ptp(q)) or 1.0
-    axis.set_ylim(float(q.min()) - 0.08 * span, float(q.max()) + 0.35 * span)
+    both = np.r_[q, np.clip(s, float(q.min()) - span, float(q.max()) + span)]
+    span = float(np.ptp(both)) or 1.0
+    axis.set_ylim(float(both.min()) - 0.08 * span, float(both.max()) + 0.35 * span)
     axis.legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
     axis.tick_params(labelbottom=False)
 

@@ -225,6 +225,7 @@ def _with_zeros_given(
         unit=own.unit,
         estimation=own.estimation, heldout=own.heldout, test=own.test,
         noise_floor=own.noise_floor,
+        window=own.window,
         others=tuple(others),
         discrepancy=tuple(left_at(d) for d in decisions),
         detectable=tuple(x for x in seen if x.is_shown),

@@ -26,6 +26,7 @@ from zendsp.diagnosis.decide.contract import (
 from zendsp.diagnosis.decide.findings import Finding, number
 from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.measure.where import Missing, Region
+from zendsp.diagnosis.measure.windows import WINDOW
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
@@ -130,6 +131,7 @@ class Errors:
     heldout: FitTable
     test: FitTable
     noise_floor: float
+    window: float = WINDOW  # s, of the free simulations
 
     @property
     def of(self) -> str:
@@ -217,6 +219,7 @@ class Diagnosis:
     stopped: bool = False  # Ctrl-C ended the search; this is what was found until then
     # effects and joints about which the headline cannot tell
     doubted: tuple[tuple[str, int], ...] = ()
+    window: float = WINDOW  # s, of the free simulations whose errors these are
     zeros: tuple[str, ...] = ()  # a sentence for each joint that has another zero than given
 
     @property
@@ -225,7 +228,9 @@ class Diagnosis:
         other = {j for e in self.others for j in e.joints}
         own = tuple(j for j in range(1, self.given.joints + 1) if other and j not in other)
         test = self.test or self.heldout
-        first = Errors(self.unit, own, self.estimation, self.heldout, test, self.noise_floor)
+        first = Errors(
+            self.unit, own, self.estimation, self.heldout, test, self.noise_floor, self.window
+        )
         return (first, *self.others)
 
     @property

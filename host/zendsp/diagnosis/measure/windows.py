@@ -21,8 +21,19 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 
 WINDOW = 0.25  # s
+FEWEST = 16  # rows of a window, where rows are seldom
 MOST_STEPS = 64  # of the simulation within a sample
 AWAY = 100.0  # rad or m: no joint goes that far within a window
+
+
+def rows_of(sample_time: float) -> int:
+    """The rows of a window."""
+    return max(FEWEST, round(WINDOW / sample_time))
+
+
+def seconds_of(data: Data) -> float:
+    """The length of the windows, s; of recordings at several rates, the longest."""
+    return max(WINDOW, *(FEWEST * rec[0].sample_time for rec in data.records))
 
 
 def window_error(data: Data, model: Model, joint: int) -> Array:
@@ -32,7 +43,7 @@ def window_error(data: Data, model: Model, joint: int) -> Array:
     parts = []
     for rec in data.records:
         record = rec[joint - 1]
-        size = max(16, round(WINDOW / record.sample_time))
+        size = rows_of(record.sample_time)
         r = _free(record, model, data.bandwidth[joint - 1], max(data.inner, 4), size)
         travel = float(np.ptp(record.motion.states[0]))
         r = np.nan_to_num(np.clip(r, -travel, travel), nan=travel)
@@ -62,7 +73,7 @@ def standing_out(data: Data, errors: Array, others: Array, joint: int) -> float:
     """The expected excess of the squares of some errors of ``window_error`` over those of others
     that are noise, in standard deviations.
     """
-    size = max(16, round(WINDOW / data.records[0][joint - 1].sample_time))
+    size = rows_of(data.records[0][joint - 1].sample_time)
     change = errors - others
     by_chance = np.add.reduceat(2.0 * others * change, np.arange(0, len(change), size))
     return float(change @ change) / max(float(np.linalg.norm(by_chance)), 1e-300)
@@ -88,7 +99,7 @@ def noise_floor(data: Data, *joints: int) -> float:
     for rec in data.records:
         for record in [rec[j - 1] for j in joints] or rec:
             m = record.measurement
-            size = max(16, round(WINDOW / record.sample_time))
+            size = rows_of(record.sample_time)
             left = 1.0 - 2.0 / size
             if m.resolution > 0:
                 squares += (

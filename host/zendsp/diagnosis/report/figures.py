@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.result import Diagnosis, SimulatorErrors, Workings
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import VARIABLES, energy, lies_in, shares
-from zendsp.diagnosis.measure.windows import WINDOW, window_error
+from zendsp.diagnosis.measure.windows import rows_of, seconds_of, window_error
 from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
 from zendsp.diagnosis.report.laws import axis_of, drawn, law_chart, unclaimed_chart, unknown_chart
 from zendsp.diagnosis.report.sides import Sides, sides, torque_label, units_at
@@ -53,7 +53,7 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
     """Does the improved model predict untouched data better, and how close is it to the noise?"""
     unit = units_at(d, joint)["position"]
     records = [rec[joint - 1] for rec in w.test.records]
-    sizes = [max(16, round(WINDOW / r.sample_time)) for r in records]
+    sizes = [rows_of(r.sample_time) for r in records]
     starts = one_after_the_other(
         [(r.t0, r.n // n * n * r.sample_time) for r, n in zip(records, sizes, strict=True)]
     )
@@ -63,7 +63,7 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
             for start, r, n in zip(starts, records, sizes, strict=True)
         ]
     )
-    size = sizes[0]
+    size, over = sizes[0], seconds_of(w.test)
     floor = max(d.noise_floor, 1e-300)
     errors, windows = [], []
     for model, role, label in _models(sides(d.findings, kernel_model(d.given), w.whole, joint)):
@@ -87,7 +87,7 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
                 axis,
                 f"position error [{unit}]",
                 tuple(errors),
-                f"Joint {joint}: untouched recording{since}, free simulation over {WINDOW:g} s",
+                f"Joint {joint}: untouched recording{since}, free simulation over {over:.3g} s",
                 clock=one,
             ),
             Panel(

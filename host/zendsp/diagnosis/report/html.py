@@ -164,7 +164,7 @@ def _fit_of(e: Errors) -> str:
         )
     )  # fmt: skip
     return (
-        f"<table><tr><th>RMS position error within 0.25 s [{e.unit}]{e.of}"
+        f"<table><tr><th>RMS position error within {e.window:.3g} s [{e.unit}]{e.of}"
         f"<th class=n>given<th class=n>calibrated<th class=n>improved<th class=n>noise floor{rows}"
         "</table>"
     )

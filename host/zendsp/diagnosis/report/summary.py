@@ -30,7 +30,7 @@ def summary(d: Diagnosis) -> str:
     if d.findings or d.unexplained:
         lines.append("")
     for e in d.errors:
-        head = f"RMS position error over 0.25 s [{e.unit}]"
+        head = f"RMS position error over {e.window:.3g} s [{e.unit}]"
         wide = max(37, len(f"  recordings of the fit{e.of}") + 2)
         lines.append(f"{head:<{wide}}given    calibrated improved noise floor")
         for name, table in (
