@@ -179,7 +179,7 @@ def test_an_endpoint_in_the_environment_beats_a_local_target_of_the_same_name(
         with pytest.raises(LinkError, match=unset):
             connect(name, timeout=0.3)
     for name, place in (("other", None), ("fake", "tcp/127.0.0.1:1")):
-        with pytest.raises(LinkError, match="or it asks for a password") as caught:
+        with pytest.raises(LinkError, match="asks for a password or for encryption") as caught:
             connect(name, place, timeout=0.3)
         assert "unset" not in str(caught.value), "nothing else was meant"
 

@@ -25,6 +25,12 @@ REFUSES = (
     " authority given"
 )
 
+NOTHING_GIVEN = (
+    ", or it asks for a certificate ($ZENDSP_TLS_CERT, $ZENDSP_TLS_KEY) or a password"
+    " ($ZENDSP_USER, $ZENDSP_PASSWORD), of which none is given, or its own certificate is not of"
+    " the authority given"
+)
+
 
 def open_session(
     endpoints: Sequence[str], credentials: Credentials, timeout: float
@@ -51,25 +57,29 @@ def open_session(
             session.close()  # type: ignore[no-untyped-call]
             session = zenoh.open(zenoh_config(endpoints, credentials, timeout, "client"))
     except zenoh.ZError as error:
-        secured = any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints)
-        doubt = (
-            REFUSES
-            if secured or credentials.user
-            else ", or it asks for a password"
-            if any(endpoint.startswith("tcp/") for endpoint in endpoints)
-            else ""
-        )
         if wrong := doubts(credentials, endpoints):
             raise LinkError(f"nothing answers at {where}: {wrong}") from error
         if frozen := silent(endpoints):
             raise LinkError(f"{frozen} (asked for {timeout:g} s)") from error
         raise LinkError(
-            f"nothing answers at {where} within {timeout:g} s{doubt}. Is the target running?"
+            f"nothing answers at {where} within {timeout:g} s{_refusal(endpoints, credentials)}."
+            " Is the target running?"
         ) from error
     if not session.info.peers_zid() and not session.info.routers_zid():
         session.close()  # type: ignore[no-untyped-call]
         raise LinkError(f"nothing answers at {where}{REFUSES}")
     return session
+
+
+def _refusal(endpoints: Sequence[str], credentials: Credentials) -> str:
+    """What a target that is there may have against this host, as a clause."""
+    secured = any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints)
+    if secured and not credentials.certificate and not credentials.user:
+        return NOTHING_GIVEN
+    if secured or credentials.user:
+        return REFUSES
+    plain = any(endpoint.startswith("tcp/") for endpoint in endpoints)
+    return ", or it asks for a password or for encryption (tls/ in place of tcp/)" if plain else ""
 
 
 def silent(endpoints: Sequence[str]) -> str:
