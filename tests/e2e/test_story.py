@@ -19,9 +19,9 @@ from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.demo.controller import not_cancelled, plan_update, slots, sources
-from zendsp.demo.evidence import Judged, judge
+from zendsp.demo.evidence import Judged, compare_tracking, judge
 from zendsp.demo.narrator import Narrator
-from zendsp.demo.picture import _missing, _position
+from zendsp.demo.picture import FOUND, _error, _missing, _position
 from zendsp.demo.run import concealment
 from zendsp.demo.runs import prepare_machine
 from zendsp.demo.stage import get_stage, nominal_model
@@ -34,6 +34,7 @@ from zendsp.experiment.separating import run_reference
 from zendsp.link import Target
 from zendsp.link.concealed import TrueEffect
 from zendsp.physics.model import Quantity, Term
+from zendsp.recording import Recording
 from zendsp.reference import Reference
 
 SEEDS = range(1, 4)  # the first three: fixed before the first run, none was left out
@@ -391,6 +392,31 @@ def test_the_picture_shows_a_simulation_that_goes_farther_beneath_its_legend(far
     _position(axis, SimpleNamespace(recorded=recorded, diagnosis=SimpleNamespace(unit="rad")), 1)  # type: ignore[arg-type]
     low, high = axis.get_ylim()
     assert low < -min(far, 3.0) and min(far, 3.0) + 0.3 * min(2.0 * far, 6.0) < high < 6.0
+
+
+def test_the_picture_colours_the_errors_that_its_number_counts() -> None:
+    """The half second in which a loop settles after the update was drawn as counted: 20 mrad above
+    "0.41 mrad RMS".
+    """
+    t = np.arange(4000) * 0.001
+    e = np.where((t > 2.0) & (t < 2.3), 0.02, 0.001)[:, None]
+
+    class Rows(dict[str, np.ndarray]):
+        sample_time, start_tick = 0.001, 0
+
+        def __len__(self) -> int:
+            return len(t)
+
+    work = cast(Recording, Rows(e=e))
+    tracking = compare_tracking(work, 2000, 0.5, 3.8)
+    diagnosis = SimpleNamespace(unit="rad")
+    told = SimpleNamespace(work=work, tracking=tracking, compensated=(1,), diagnosis=diagnosis)
+    axis = Figure().add_subplot()
+    _error(axis, told, 1)  # type: ignore[arg-type]
+    (line,) = [line for line in axis.get_lines() if line.get_color() == FOUND]
+    drawn = np.asarray(line.get_ydata())
+    counted = drawn[np.isfinite(drawn)]
+    assert np.sqrt(np.mean(counted**2)) == pytest.approx(1e3 * tracking.after[0])
 
 
 def test_run_needs_a_folder_for_the_new_recording() -> None:

@@ -21,7 +21,7 @@ from zendsp.reference import Machine
 
 Array = npt.NDArray[np.float64]
 
-BOUNDARY_S = 0.5  # on both sides of the update: the filter and the loop settle
+BOUNDARY_S = 0.5  # after the update, not counted: the filter and the loop settle
 HIDDEN = 0.02  # of its travel: a joint that differs by less agrees with its simulation
 SURE = 0.9  # confidence at which a wrong claim is no longer a doubt
 PART = 0.05  # of the mismatch: what a wrong claim may explain at most

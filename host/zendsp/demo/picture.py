@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zendsp.demo.evidence import Array, Tracking, columns, of_body
+from zendsp.demo.evidence import BOUNDARY_S, Array, Tracking, columns, of_body
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -200,6 +200,7 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
     t = np.arange(len(told.work)) * told.work.sample_time
     e = 1e3 * columns(told.work, "e")[:, joint - 1]
     counted = (t >= told.tracking.first_s) & (t < told.tracking.last_s)
+    counted &= (t < at) | (t >= at + BOUNDARY_S)
     axis.plot(t, np.where(counted, np.nan, e), color=QUIET, lw=0.7)
     axis.plot(t, np.where(counted & (t < at), e, np.nan), color=MODEL, lw=0.7)
     axis.plot(t, np.where(counted & (t >= at), e, np.nan), color=FOUND, lw=0.7)
@@ -213,7 +214,7 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
             x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13,
             fontweight="bold", ha="center", transform=axis.transAxes,
         )
-    axis.set_xlabel("time (s); grey, setting out and held at rest by dry friction, is not counted")
+    axis.set_xlabel("time (s); grey is not counted: setting out, settling after the update, rest")
     axis.set_ylabel(f"tracking error of joint {joint} (m{_unit(told)})")
     axis.set_title(
         (
