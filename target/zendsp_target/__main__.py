@@ -293,7 +293,11 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
         )
 
     monitor.run(asked, args.parent, announce)
-    return 0
+    if runtime.unsafe or not args.json:
+        said = sys.stderr if runtime.unsafe else sys.stdout
+        with contextlib.suppress(OSError):  # nobody may be there to read it
+            print(f"target {name} has ended{runtime.farewell}", file=said, flush=True)
+    return 1 if runtime.unsafe else 0
 
 
 def leave(status: int) -> NoReturn:

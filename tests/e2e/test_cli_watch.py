@@ -166,8 +166,12 @@ def test_target_runs_in_the_foreground_until_ctrl_c() -> None:
     )
     with zendsp.connect("bench") as bench:
         assert bench.info.clock == "fast"
+        bench.download("pd.c")
+        bench.start()
     process.send_signal(signal.SIGINT)
     assert process.wait(PATIENCE_S) == 0
+    said = process.stdout.read()
+    assert said == "target bench has ended; its machine is in its safe state\n"
     assert not running(process.pid) and zendsp.discover() == []
     assert os.listdir(os.environ["ZENDSP_RUNTIME_DIR"]) == []
     process.stdout.close()

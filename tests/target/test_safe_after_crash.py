@@ -116,6 +116,8 @@ def test_a_machine_that_cannot_be_made_safe_is_told(
     wait_for(lambda: runtime.status().crash != "", runtime.status)
     assert "SIGSEGV" in runtime.status().crash
     assert "NOT SAFE: use the machine's emergency stop" in runtime.status().crash
+    runtime.close()
+    assert runtime.unsafe and runtime.farewell.startswith(": the machine is NOT SAFE")
 
 
 def test_the_fast_clock_refuses_hardware(tmp_path: Path) -> None:

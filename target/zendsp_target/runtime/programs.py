@@ -57,6 +57,8 @@ class Programs:
         Of the next load.
     unsafe : str
         Why the machine may still move though no program is loaded; empty: it is safe.
+    farewell : str
+        A clause on the machine, once this is closed; empty where no program was loaded.
     drive_wish : str
         ``"auto"`` (on at start), or what was asked for: ``"off"``, ``"torque"``, ``"velocity"``.
     """
@@ -97,6 +99,7 @@ class Programs:
         self._sequence = 0  # of the last update of all loads
         self.drive_wish = DriveMode.AUTO
         self.unsafe = ""
+        self.farewell = ""
         self._closed = False
 
     def compile(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> CompileResult:
@@ -276,7 +279,12 @@ class Programs:
         """End everything and remove the shared memory."""
         with self.lock:
             if not self._closed:
+                ran = self.session is not None
                 self.unload()
+                if self.unsafe:
+                    self.farewell = f": {self.unsafe}"
+                elif ran:
+                    self.farewell = "; its machine is in its safe state"
                 self._closed = True
                 self.folder.close()
                 if self._place is not None:

@@ -126,6 +126,16 @@ class Runtime:
         self.acquire_read = recorder.read
 
     @property
+    def farewell(self) -> str:
+        """A clause on the machine, once this is closed; empty where no program was loaded."""
+        return self.programs.farewell
+
+    @property
+    def unsafe(self) -> str:
+        """Why the machine may still move though its program has ended; else empty."""
+        return self.programs.unsafe
+
+    @property
     def left_behind(self) -> tuple[list[Kept], list[Kept]]:
         """Recordings of targets that were killed: those that are still in shared memory, and those
         that the start of this target removed.
