@@ -38,6 +38,10 @@ def reversed_(c: Columns) -> Columns:
     return {**c, "q": sign * c["q"], "u": sign * c["u"]}
 
 
+def reversed_sign(c: Columns, name: str) -> Columns:
+    return {**c, name: np.array([1.0, -1.0, 1.0]) * c[name]}
+
+
 def turned(c: Columns) -> Columns:
     return {**c, "q": c["q"] + np.array([0.0, np.pi / 2, 0.0])}
 
@@ -71,6 +75,12 @@ MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "positions": (lambda c: exchanged(c, "q"), "the positions of joints 2 and 3 are exchanged"),
     "commands": (lambda c: exchanged(c, "u"), "the commands of joints 2 and 3 are exchanged"),
     "another direction": (reversed_, "joint 2 counts the other way"),
+    "the sign of a position": (
+        lambda c: reversed_sign(c, "q"), "the position of joint 2 has the other sign",
+    ),
+    "the sign of a command": (
+        lambda c: reversed_sign(c, "u"), "the command of joint 2 has the other sign",
+    ),
     "another zero": (turned, r"joint 2 lies elsewhere (\[sensor\] offset = -1.571)"),
     "gravity compensated": (without_gravity, "the command is without gravity"),
     "angles of links": (from_the_base, "joint 3 counts from the base, not from joint 2 ([sensor]"),
@@ -115,6 +125,18 @@ def test_all_mistakes_take_one_call_of_the_dynamics(
     check_order("run", data.records[0], model)
     assert len(rows) == 2
     assert rows[1] > 20 * rows[0]
+
+
+@pytest.mark.parametrize(("name", "words"), [("q", "position"), ("u", "command")])
+def test_one_column_of_a_plane_arm_that_has_the_other_sign_is_named(
+    name: str, words: str, tmp_path: Path
+) -> None:
+    """It was "unexplained: check units, gain and limit"."""
+    path, model = tmp_path / "run.npz", plane_model()
+    np.savez(path, **{**two_links(), name: two_links()[name] * np.array([1.0, -1.0])})
+    data = prepare([read_signals(path, model)], model, 64.0)
+    with pytest.raises(RecordingError, match=f"the {words} of joint 2 has the other sign"):
+        check_order("run", data.records[0], model)
 
 
 LINK_ANGLES = "joint 2 counts from the base, not from joint 1"

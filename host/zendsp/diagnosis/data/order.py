@@ -1,6 +1,6 @@
 """Columns of an arm that do not belong to the joints of the model: two joints exchanged (a driver
-may list them by the alphabet); a joint that counts the other way or from another zero; commands
-without the gravity that the drives add.
+may list them by the alphabet); a joint that counts the other way or from another zero, or of which
+one column has the other sign; commands without the gravity that the drives add.
 
 Each mistake is undone, and the torque that the given model leaves beside friction is compared
 before and after. A wrong body leaves much torque too, but none of the mistakes explains it.
@@ -128,6 +128,9 @@ def _mistakes(slow: Slow, model: Model) -> Iterator[tuple[str, Slow, float]]:
         words = f"joint {j + 1} counts the other way than in the model (position and command)"
         other_way = moved(list(joints), sign, none)
         yield words, replace(other_way, command=sign * slow.command), 1.0
+        yield f"the position of joint {j + 1} has the other sign", other_way, 1.0
+        reversed_command = replace(slow, command=sign * slow.command)
+        yield f"the command of joint {j + 1} has the other sign", reversed_command, 1.0
         if model.joint_kind(j + 1) == "rotary":
             for quarter in (1, 2, 3):
                 away = math.remainder(quarter * math.pi / 2, 2 * math.pi)
