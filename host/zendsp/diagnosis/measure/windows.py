@@ -21,19 +21,19 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 
 WINDOW = 0.25  # s
-FEWEST = 16  # rows of a window, where rows are seldom
+FEWEST_ROWS = 16  # rows of a window, where rows are seldom
 MOST_STEPS = 64  # of the simulation within a sample
 AWAY = 100.0  # rad or m: no joint goes that far within a window
 
 
 def rows_of(sample_time: float) -> int:
     """The rows of a window."""
-    return max(FEWEST, round(WINDOW / sample_time))
+    return max(FEWEST_ROWS, round(WINDOW / sample_time))
 
 
 def seconds_of(data: Data) -> float:
     """The length of the windows, s; of recordings at several rates, the longest."""
-    return max(WINDOW, *(FEWEST * rec[0].sample_time for rec in data.records))
+    return max(WINDOW, *(FEWEST_ROWS * rec[0].sample_time for rec in data.records))
 
 
 def window_error(data: Data, model: Model, joint: int) -> Array:
