@@ -4,9 +4,10 @@ findings, and report what remains.
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -45,6 +46,7 @@ from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
+from zendsp.diagnosis.search.body_hypotheses import LIMITS
 from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
@@ -158,9 +160,24 @@ def _diagnose(
                 f"{listed(other.angles)}: another zero explains the recordings again after"
                 f" {homings} estimates of it: check [sensor] offset and the columns of the model"
             ) from None
-        homed, sentence = _homed(sources, given, other, jobs, tell)
+        homed, angles = _homed(sources, given, other, jobs, tell)
+        seen_at = other.bandwidth
     d = _diagnose(sources, homed, seed, jobs, tell, so_far, homings + 1)
-    return replace(d, zeros=(sentence, *d.zeros), seconds=time.perf_counter() - begin)
+    for _ in range(LIMITS.rounds):  # what was missing had bent the estimate of the zeros
+        if not d.findings or d.zeros or d.stopped:
+            break
+        beside = replace(d.improved, sensor=given.sensor)
+        zero = OtherZero({joint: angle for joint, (angle, _) in angles.items()}, seen_at)
+        again, now = _homed(sources, beside, zero, jobs, tell)
+        moved_by = {j: abs(angle - angles[j][0]) for j, (angle, _) in now.items()}
+        if all(by < LIMITS.moves * now[j][1] for j, by in moved_by.items()):
+            break
+        homed = replace(given, sensor=again.sensor)
+        # it may go on moving by as much
+        angles = {j: (angle, math.hypot(std, moved_by[j])) for j, (angle, std) in now.items()}
+        d = _diagnose(sources, homed, seed, jobs, tell, so_far, homings + 1)
+    zeros = (_of_zeros(homed, angles), *d.zeros)
+    return replace(d, zeros=zeros, seconds=time.perf_counter() - begin)
 
 
 def _warn_of_length(signals: Sequence[Signals]) -> None:
@@ -251,19 +268,22 @@ def _homed(
     other: OtherZero,
     jobs: int,
     tell: Progress,
-) -> tuple[Model, str]:
-    """The given model with other zeros of joints, and a sentence about them."""
+) -> tuple[Model, dict[int, tuple[float, float]]]:
+    """The given model with other zeros of joints; by joint the angle and its std, rad."""
 
     def recorded_with(model: Model) -> Data:
         return _ready(*sources, kernel_model(model), tell)[1].fit
 
-    homed, angles = with_zero(given, other, recorded_with, jobs)
+    return with_zero(given, other, recorded_with, jobs)
+
+
+def _of_zeros(homed: Model, angles: Mapping[int, tuple[float, float]]) -> str:
     said = (
         f"joint {joint} is {number(Estimate(angle, std, 'rad'))} farther along than recorded"
         for joint, (angle, std) in angles.items()
     )
     offsets = ", ".join(f"{x:.5g}" for x in homed.sensor.offset)
-    return homed, (
+    return (
         f"Another zero than the model's: {', '.join(said)}. All here is with [sensor] offset ="
         f" [{offsets}]."
     )
