@@ -85,6 +85,22 @@ def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(
     assert runtime.acquire_read(0, 0, 100).shape == (50, 2)
 
 
+def test_outputs_that_a_program_wrote_before_it_crashed_are_not_told_as_acting(
+    make_runtime: Make, wait_for: Wait
+) -> None:
+    """`status` went on saying 4.08 mV, and the drive panel showed it, of a machine that was safe."""
+    text = CRASHING.format(how="*nowhere = 1;")
+    assert text.count("void UserISR_INT2(void) {") == 1
+    runtime = make_runtime(
+        text.replace("UserISR_INT2(void) {", "UserISR_INT2(void) { WRITE_TORQUE(0, 0.1);")
+    )
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    said = runtime.status().io
+    assert "enc" in said, "what was measured last is told"
+    assert "aout" not in said and "dout" not in said
+
+
 def acknowledged(runtime: Runtime, load: Callable[[Runtime, str], None]) -> None:
     """Nothing is loaded before somebody acknowledges; then all works."""
     with pytest.raises(Refused, match="acknowledge it first"):

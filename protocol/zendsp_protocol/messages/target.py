@@ -88,7 +88,8 @@ class Status(Message, frozen=True):
     drive: DriveState = DriveState.OFF  # off, ready, homed, enabled, running, stopped or tripped
     trip: Trip | None = None  # latched until acknowledged
     crash: str = ""  # empty, or how the runner died and at which sample
-    io: dict[str, WireValue] = {}  # enc, aout, adc, din, dout; fault of hardware at rest
+    # enc, aout, adc, din, dout; fault of hardware at rest; crashed: no outputs
+    io: dict[str, WireValue] = {}
     homed: bool = True  # whether positions mean anything
     drive_mode: DriveMode = DriveMode.OFF  # what the drives are told: off, torque or velocity
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected

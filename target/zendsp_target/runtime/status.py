@@ -16,6 +16,7 @@ from zendsp_target.runtime.process.settings import Settings
 from zendsp_target.runtime.session import Session
 
 _IO = ("enc", "aout", "adc", "din", "dout")
+_OUTPUTS = ("aout", "dout")  # what a runner that is gone wrote last acts no more
 _MODES = {number: name for name, number in safety.DRIVE_MODES.items()}
 
 
@@ -105,7 +106,8 @@ def _drive(
 
 
 def _io(session: Session) -> dict[str, WireValue]:
-    names = [name for name in _IO if name in session.dictionary.entries]
+    told = _IO if session.alive() else [name for name in _IO if name not in _OUTPUTS]
+    names = [name for name in told if name in session.dictionary.entries]
     try:
         _, values = session.read(names)
     except (RunnerDied, Refused):
