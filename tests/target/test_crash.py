@@ -88,7 +88,7 @@ def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(
 def test_outputs_that_a_program_wrote_before_it_crashed_are_not_told_as_acting(
     make_runtime: Make, wait_for: Wait
 ) -> None:
-    """`status` went on saying 4.08 mV, and the drive panel showed it, of a machine that was safe."""
+    """`status` and the drive panel went on saying 4.08 mV, of a machine that was safe."""
     text = CRASHING.format(how="*nowhere = 1;")
     assert text.count("void UserISR_INT2(void) {") == 1
     runtime = make_runtime(

@@ -17,21 +17,24 @@ from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import low_speed
 from zendsp.experiment.push import BRAKING, PUSHING, Pusher
 from zendsp.experiment.result import Estimate, Result
-from zendsp.experiment.staircase import breakaway_torque, bristle_stiffness, pushed_way
+from zendsp.experiment.staircase import (
+    HOLD,
+    Steps,
+    breakaway_torque,
+    bristle_stiffness,
+    one_way,
+    pushed_way,
+    refuse_held_up,
+    staircase,
+)
 from zendsp.experiment.watch import left_out
 from zendsp.recording import Recording
 
-# s, length of a torque step: so slow that friction reaches what it can hold
-HOLD = 0.01
 # the same for the stiffness of bristles: fast against what the drive's noise lets them creep
 FAST_HOLD = 0.001
 CREEP = 0.006  # of the stiffness: what they still creep, as pushes of other speeds show
-CUTOFF = 25.0  # Hz, of the speed: what holds one joint must not shake the other by its noise
-THRESHOLD = 0.05  # of the low-speed way: that a joint goes before a push ends
 FAST_WINDOW = 0.031  # s that a fast push is smoothed over
-BROKE = 0.25  # of that way: a joint that went as far has broken away …
-STOOD = 0.1  # … and by less of what it went it stands, in the last third of the torque
-RESTS = 0.3  # of the friction: what may stay of what held a joint that carries a weight
+EARLY, EASED = 0.25, 0.5  # of the friction: a push that ends so early is made again, eased by
 # of the encoder, that bristles must bend by for their stiffness to be told: at 16 counts it is 3 %
 # off, at 12 6 %, at 8 47 % (docs/measurements/experiments.md)
 COUNTS = 12.0
@@ -285,12 +288,13 @@ def _break_away(pusher: Pusher, joint: int, direction: int, position: float) -> 
 def _push(
     pusher: Pusher, name: str, joint: int, direction: int, position: float, rate: float, hold: float
 ) -> Recording:
-    """A staircase that goes on until the joint breaks away, within what the drive can do."""
+    """A staircase that goes on until the joint breaks away, within what the drive can do, and what
+    friction and weight can need.
+
+    A joint that carries a weight is pushed from the torque that holds it, which friction may have
+    all but broken away already: then it begins once more, with half of the friction taken off.
+    """
     axis = pusher.known.axes[joint]
-    band = 0.0
-    if axis.load.weighs:
-        sure = axis.load.weight_std < RESTS * axis.level
-        band = RESTS * axis.level if sure else axis.torque
     most = USED * axis.torque - axis.load.most
     if most <= 0.0:
         raise Unmeasured(
@@ -299,40 +303,28 @@ def _push(
             " to push it with. Let the machine declare a larger torque_max, or measure it where it"
             " carries less"
         )
-    enough = min(axis.enough, most)
+    # what holds a joint may lie a friction off its weight, to the other side
+    enough = min(axis.enough + (axis.level if axis.load.weighs else 0.0), most)
+    word, eased = name, 0.0
     while True:
-        rec = pusher.push(
-            name, joint, direction, position, enough / rate, cutoff=CUTOFF, band=band,
-            increment=rate * hold, hold=hold, threshold=THRESHOLD * axis.travel,
-            back=THRESHOLD * axis.travel,
-        )  # fmt: skip
+        steps = Steps(joint, direction, position, rate, hold, enough)
+        rec = staircase(pusher, word, steps, eased)
         if (rec["phase"] >= BRAKING).any():
+            if axis.load.weighs and not eased and _grown(rec) < EARLY * axis.level:
+                eased, word = EASED * axis.level, f"{word}_eased"
+                continue
             return rec
         refuse_held_up(rec, axis, direction)
         if enough >= most:
             return rec
-        enough, name = min(2.0 * enough, most), f"{name}_more"
+        may = one_way(pusher, f"{word}_back", steps, rec)
+        enough, word = min(2.0 * enough, most, may), f"{word}_more"
 
 
-def refuse_held_up(rec: Recording, axis: Axis, direction: int) -> None:
-    """Refuse a staircase whose joint broke away, and then stood while the torque grew by half.
-
-    Raises
-    ------
-    Unmeasured
-    """
-    rows = np.flatnonzero(rec["phase"] == PUSHING)
-    q = rec["q"].reshape(len(rec), -1)[rows, axis.number - 1]
-    way = direction * (q - q[0])
-    last = way[2 * len(way) // 3 :]
-    if way[-1] > BROKE * THRESHOLD * axis.travel and np.ptp(last) < STOOD * way[-1]:
-        most, unit = abs(float(rec["torque"][rows[-1]])), axis.unit
-        raise Unmeasured(
-            f"something holds joint {axis.number} up at {q[-1]:.3g} {unit}, within its range of"
-            f" {axis.low:.3g} to {axis.high:.3g}: it broke away, went {way[-1]:.2g} {unit}, and"
-            f" stands there under up to {most:.3g} {axis.force}. No more was tried. Take away what"
-            " it touches, or let the machine declare the range that it has"
-        )
+def _grown(rec: Recording) -> float:
+    """By how much the torque of a push grew until the joint went, N m."""
+    torque = rec["torque"][rec["phase"] == PUSHING]
+    return abs(float(torque[-1] - torque[0])) if len(torque) else 0.0
 
 
 def _draw(found: Mapping[int, Pushes], bench: Bench) -> str:

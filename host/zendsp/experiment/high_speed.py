@@ -25,6 +25,7 @@ from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.low_speed import ACTS, low_speed
 from zendsp.experiment.push import BRAKING, PUSHING, Pusher, columns
 from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.staircase import HOLD, Steps, one_way, refuse_held_up, went
 from zendsp.experiment.watch import left_out, name_yielding
 
 CERTAIN = 0.3  # of the friction: what may be uncertain of a weight that is taken off
@@ -178,10 +179,15 @@ def _steady(
             axis.number, direction, start, min(max(seconds, 4.5), 4.0 * LONGEST),
             first=min(torque, most), lower=min(start, end) if direction < 0 else axis.low,
             upper=max(start, end) if direction > 0 else axis.high,
-            back=0.1 * axis.travel, pace=speed, **_held(known),
+            back=0.1 * axis.travel, pace=speed, resting=axis.torque if axis.load.weighs else 0.0,
+            **_held(known),
         )  # fmt: skip
         if (rec["phase"] >= BRAKING).any():
             break
+        refuse_held_up(rec, axis, direction)
+        if not went(rec, axis):
+            steps = Steps(axis.number, direction, start, axis.slow, HOLD, min(torque, most))
+            most = min(most, one_way(pusher, f"joint{axis.number}_back", steps, rec))
         torque *= 1.25
     q = columns(rec, "q", len(known.pose))
     way = (q[:, j] - middle) * direction

@@ -22,6 +22,7 @@ from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
 from zendsp.experiment.watch import Held, Seen, check, guarded, look
 from zendsp.here.stopped import ended
+from zendsp.here.uninterrupted import uninterrupted
 from zendsp.link import Target
 from zendsp.link.outside import positions
 from zendsp.link.put_back import GONE, Loaded, kept
@@ -150,7 +151,7 @@ class Lab:
             try:
                 yield bench
             except BaseException:  # Ctrl-C as well: the machine stands before the program ends
-                with contextlib.suppress(ZendspError):
+                with uninterrupted(), contextlib.suppress(ZendspError):
                     _stop(bench.target)
                 raise
 
@@ -164,7 +165,9 @@ def loading(target: Target) -> Iterator[None]:
     try:
         yield
     finally:
-        if why := before.put_back():
+        with uninterrupted():
+            why = before.put_back()
+        if why:
             warnings.warn(why, stacklevel=2)
         if not held:
             with contextlib.suppress(ZendspError):
@@ -200,8 +203,9 @@ class Bench:
         self.loaded: object = None
         self.seen: dict[int, Seen] = {}  # of each joint in the latest recording
         self.inertias = np.zeros(0)  # of each joint, as the machine declares them
-        # where the latest recording ended, rad (m), and the torque that held every joint, N m (N)
-        self.ended: tuple[Array, Array] | None = None
+        # where recordings ended at rest, rad (m), and the torque that held every joint, N m (N)
+        self.rests: list[tuple[Array, Array]] = []
+        self.takes_over: Callable[[], None] | None = None  # holds it where it is, by a stiff loop
 
     @property
     def machine(self) -> MachineInfo:
@@ -271,6 +275,9 @@ class Bench:
         if target.status().state in (ProgramState.RUNNING, ProgramState.PAUSED):
             target.pause()
         target.download(program, flags)
+        if self.takes_over is not None and self.held_here() is None:
+            self.takes_over()
+            target.download(program, flags)
         self._make_ready(name)
         if reference is not None:
             values.setdefault("approach_time", before)
@@ -282,8 +289,11 @@ class Bench:
             channels = [*channels, "blocked"]
             done = done or _blocked
             values = {"stalls": True, **values}
-            if reference is None or reference.tau is None:
-                values = self._carried() | values
+        here = self.held_here()
+        if here is not None and "taken" in values:  # push.c
+            values |= {"carried": here.tolist(), "taken": True}
+        elif here is not None and program == HOLDS and (reference is None or reference.tau is None):
+            values = {"carried": here.tolist()} | values
         if values:
             target.write(**values)
         if seconds is None:
@@ -301,29 +311,38 @@ class Bench:
             if trip is not None and trip.reason:
                 raise Refused(f"{name}: {ended(trip)}")
         except BaseException as error:
-            with contextlib.suppress(ZendspError):
+            with uninterrupted(), contextlib.suppress(ZendspError):
                 _stop(target)  # first of all
                 self._keep_part(name, str(error) or type(error).__name__)
             raise
         self._keep(recording, name)
-        if program == HOLDS and "tau" in recording.names:
-            last = [np.atleast_2d(recording[x].T)[:, -ENDING:].mean(axis=1) for x in ("q", "tau")]
-            self.ended = last[0], last[1]
+        if self.takes_over is not None and {"q", "tau"} <= set(recording.names):
+            self.remember(recording)
         if program == HOLDS and reference is None:
             held = Held(dict(enumerate(np.atleast_1d(recording["q"][0]).tolist(), start=1)), ())
         self._watch(recording, name, reference, held)
         return recording
 
-    def _carried(self) -> dict[str, list[float]]:
-        """The torque that holds the joints where they stand, if they stand where the latest
-        recording ended: joint_pd.c begins with it, and no weight sinks.
+    def remember(self, recording: Recording) -> None:
+        """Keep what holds the machine where a recording ended, if it is at rest there."""
+        n = len(self.machine.joints)
+        q, tau = (recording[x].reshape(len(recording), n)[-ENDING:] for x in ("q", "tau"))
+        if (np.ptp(q, axis=0) <= self._still()).all():
+            self.rests.append((q.mean(axis=0), tau.mean(axis=0)))
+
+    def _still(self) -> Array:
+        """What each joint moves by at most where it stands, rad (m)."""
+        return np.array(
+            [min(STILL, STILL * (j.position_max - j.position_min)) for j in self.machine.joints]
+        )
+
+    def held_here(self) -> Array | None:
+        """The torque that held every joint where the machine stands now, N m (N): a program that
+        begins with it lets no weight sink. None where no recording has ended here.
         """
-        if self.ended is None:
-            return {}
-        joints = self.machine.joints
-        room = np.array([min(STILL, STILL * (j.position_max - j.position_min)) for j in joints])
-        moved = np.array(positions(self.target.status(), joints)) - self.ended[0]
-        return {"carried": self.ended[1].tolist()} if (np.abs(moved) <= room).all() else {}
+        here = np.array(positions(self.target.status(), self.machine.joints), dtype=np.float64)
+        there = [rest for rest in self.rests if (np.abs(here - rest[0]) <= self._still()).all()]
+        return there[-1][1] if there else None
 
     def _watch(
         self, recording: Recording, name: str, reference: Reference | None, held: Held

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import Incomplete, TooSoon, ZendspError
+from zendsp.here.uninterrupted import uninterrupted
 from zendsp.link import Target
 from zendsp.link.outside import positions
 from zendsp.link.put_back import Before, kept
@@ -80,10 +81,11 @@ class Player:
             try:
                 found = self._while_it_runs() if real and running else self._from_the_start()
             except BaseException:  # Ctrl-C too: nobody waits for what the machine goes on doing
-                with suppress(ZendspError):
-                    self._come_to_rest(before, real, running)
-                with suppress(ZendspError):
-                    target.acquire_stop()
+                with uninterrupted():
+                    with suppress(ZendspError):
+                        self._come_to_rest(before, real, running)
+                    with suppress(ZendspError):
+                        target.acquire_stop()
                 raise
             if running and before.follows:  # a later start stays there too
                 for name, rows in self.tables.items():

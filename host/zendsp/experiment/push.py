@@ -59,7 +59,7 @@ class Pusher:
         cutoff = values.get("cutoff", CUTOFF)
         fastest = USED * axis.speed + 4.0 * np.pi * cutoff * abs(axis.count)
         limits = {"lower": axis.low, "upper": axis.high, "fastest": fastest}
-        given = {"reset": reset, **limits, **gains, **known.weights(), **values}
+        given = {"reset": reset, "taken": False, **limits, **gains, **known.weights(), **values}
         try:
             rec = self.bench.record(
                 name, push_program(), channels, seconds=1.5 * travel + REST_S + 0.3 + seconds,

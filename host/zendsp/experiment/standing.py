@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import e, pi
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +55,7 @@ def standing(bench: Bench, weight: Array | None = None, takes_model: bool = Fals
     """
     infos = bench.machine.joints
     values = {"carried": weight.tolist()} if weight is not None else _stiffer(bench)
+    bench.takes_over = None
     try:
         rec = bench.record("where_it_stands", PROGRAM, CHANNELS, seconds=0.2, **values)
     except ZendspError as error:
@@ -69,7 +71,20 @@ def standing(bench: Bench, weight: Array | None = None, takes_model: bool = Fals
             " its limits, or let the machine declare what it bears (speed_max, the inertia of the"
             " joint)"
         ) from error
+    bench.takes_over = lambda: _again(bench)
+    bench.remember(rec)
     return _off_limits(bench, np.atleast_1d(rec["q"][-1]), infos)
+
+
+def _again(bench: Bench) -> None:
+    """Hold the machine where it has come to stand while no loop held it, and remember by what."""
+    again, bench.takes_over = bench.takes_over, None
+    try:
+        values: dict[str, Any] = dict(_stiffer(bench))
+        rec = bench.record("where_it_stands_now", PROGRAM, CHANNELS, seconds=0.2, **values)
+        bench.remember(rec)
+    finally:
+        bench.takes_over = again
 
 
 def _stiffer(bench: Bench) -> dict[str, float]:

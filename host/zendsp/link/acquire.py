@@ -18,6 +18,7 @@ from zendsp.errors import (
     VariableError,
     ZendspError,
 )
+from zendsp.here.uninterrupted import uninterrupted
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp.link.transfer import Transfers, room
@@ -146,7 +147,7 @@ class Recorder(Transfers):
                 return self._follow(wanted, note, timeout, patience, progress)
             return self.acquire_finish(timeout, note, progress, patience)
         except (KeyboardInterrupt, SystemExit):  # nobody waits for it any more
-            with contextlib.suppress(ZendspError):
+            with uninterrupted(), contextlib.suppress(ZendspError):
                 if start and pauses:
                     self.request("pause")
                 self._end_ring(0.0)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from zendsp.errors import Refused, ZendspError
+from zendsp.here.uninterrupted import uninterrupted
 from zendsp.link.joints import Joints, joints_of
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
@@ -155,7 +156,7 @@ class Drives(Part):
             begin()
             return self._homed(before.homings, time.monotonic() + timeout, timeout)
         except (KeyboardInterrupt, SystemExit):  # who asked for the motion no longer watches it
-            with contextlib.suppress(ZendspError):
+            with uninterrupted(), contextlib.suppress(ZendspError):
                 self.request("pause")
             raise
 

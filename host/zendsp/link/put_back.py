@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from zendsp.errors import Refused, ZendspError
+from zendsp.here.uninterrupted import uninterrupted
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState, VariableKind
 
@@ -133,5 +134,7 @@ def kept(
     try:
         yield before
     finally:
-        if why := before.put_back():
+        with uninterrupted():
+            why = before.put_back()
+        if why:
             warnings.warn(why, stacklevel=3)

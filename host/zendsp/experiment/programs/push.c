@@ -3,9 +3,13 @@
  *
  * The torque begins at `first` and grows by `increment` every `hold` seconds (0: constant torque).
  * It comes on top of what carries the joint's weight, which is what the host knows of it, and up to
- * `band` of what held the joint at rest. The push ends when the joint has left its start by
- * `threshold`, or by `back` the other way, or has passed `upper` (counterclockwise) or `lower`
- * (clockwise), or is faster than `fastest`. The joint is then braked, and held where it stops.
+ * `band` of what else held the joint at rest, less `eased`. The push ends when the joint has left
+ * its start by `threshold`, or by `back` the other way, or has passed `upper` (counterclockwise) or
+ * `lower` (clockwise), or is faster than `fastest`. The joint is then braked, and held where it
+ * stops.
+ *
+ * No weight sinks before: with `taken` the loops begin with what held the joints (`carried`), and
+ * up to `resting` of what held the joint stays until the push begins.
  *
  * What holds a joint up on the way to its start (blocked.h), or a pushed one that had half of
  * `pace` and stands, ends everything: the machine is held where it is; `blocked` says which joint.
@@ -19,7 +23,9 @@ enum { GOING, RESTING, PUSHING, BRAKING, HELD };
 
 static int32_t joint, direction;
 static double place[MOST], Kp[MOST], Kd[MOST], brake[MOST];
-static double flat[MOST], cosine[MOST], sine[MOST], band;
+static double flat[MOST], cosine[MOST], sine[MOST], carried[MOST], resting, band;
+static double eased;
+static bool taken;
 static double first, increment, hold, threshold, back, lower, upper, fastest;
 static double travel_time, rest_time, cutoff, reset, pace;
 
@@ -29,7 +35,7 @@ static double r[MOST]; /* where the joints are to be on the way to the start */
 
 static double last[MOST], start[MOST], begun, origin;
 static double sum[MOST]; /* N m, of the integrals */
-static double carried; /* N m, what held the joint beside its weight, and what of it stays */
+static double kept; /* N m, what held the joint beside its weight, and what of it stays */
 static double ended, speed; /* s and rad/s, when the push ended */
 static double looked, from; /* s and place of the latest look at a joint that is pushed */
 static bool moved;          /* it had half of `pace` */
@@ -46,7 +52,11 @@ void UserInit(void) {
     PARAMETER_FIRST(flat, JOINTS, "{tau}", NO_MIN, NO_MAX, "weight, the same everywhere");
     PARAMETER_FIRST(cosine, JOINTS, "{tau}", NO_MIN, NO_MAX, "weight, by the cosine of q");
     PARAMETER_FIRST(sine, JOINTS, "{tau}", NO_MIN, NO_MAX, "weight, by the sine of q");
-    PARAMETER(band, 0.0, "{tau}", 0.0, 1e6, "of what held the joint at rest, the most that stays");
+    PARAMETER_FIRST(carried, JOINTS, "{tau}", -1e6, 1e6, "that holds the joints as it begins");
+    PARAMETER(taken, 0, "", 0, 1, "whether that is known; else they begin with the weight");
+    PARAMETER(resting, 0.0, "{tau}", 0.0, 1e6, "beside the weight, what may hold it at rest");
+    PARAMETER(band, 0.0, "{tau}", 0.0, 1e6, "of that, the most that stays during the push");
+    PARAMETER(eased, 0.0, "{tau}", 0.0, 1e6, "taken off that, along the push, while it rests");
     PARAMETER(first, 0.0, "{tau}", -1e6, 1e6, "torque at the beginning of the push");
     PARAMETER(increment, 0.0, "{tau}", 0.0, 1e5, "height of a step");
     PARAMETER(hold, 0.1, "s", 0.0001, 10.0, "length of a step");
@@ -68,6 +78,8 @@ void UserInit(void) {
     SIGNAL(blocked, "", "joint that something holds up, from 1; 0: none");
 }
 
+static double weight(int32_t j) { return flat[j] + cosine[j] * cos(q[j]) + sine[j] * sin(q[j]); }
+
 static void measure(void) {
     const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
     for (int32_t j = 0; j < JOINTS; j++) {
@@ -76,18 +88,16 @@ static void measure(void) {
         last[j] = q[j];
         if (FIRST_SAMPLE || !DRIVE_ENABLED) {
             start[j] = q[j];
-            sum[j] = 0.0;
+            sum[j] = taken && reset > 0.0 ? carried[j] - weight(j) : 0.0;
         }
     }
     if (FIRST_SAMPLE || !DRIVE_ENABLED) {
         begun = SAMPLE_TIME;
         phase = GOING;
         blocked = 0;
-        carried = 0.0;
+        kept = 0.0;
     }
 }
-
-static double weight(int32_t j) { return flat[j] + cosine[j] * cos(q[j]) + sine[j] * sin(q[j]); }
 
 /* Fifth-order way from where the joint stood to its start position. */
 static double wanted(int32_t j, double t) {
@@ -133,11 +143,12 @@ static void advance(int32_t k, double rested, double t) {
     if (phase == GOING && rested >= 0.0) {
         phase = RESTING;
         origin = q[k];
-        carried = fmax(-band, fmin(band, carried));
+        kept = fmax(-resting, fmin(resting, kept));
     }
     if (phase == RESTING && rested >= rest_time) {
         phase = PUSHING;
         origin = q[k];
+        kept = fmax(-band, fmin(band, kept)) - (direction < 0 ? -eased : eased);
     }
     if (over(k)) {
         phase = BRAKING;
@@ -152,14 +163,14 @@ static void advance(int32_t k, double rested, double t) {
 
 /* Torque of the pushed joint beside its weight, from rest on. */
 static double push(int32_t k, double t) {
-    if (phase == RESTING)
-        return carried;
+    if (phase == RESTING) /* t runs up to 0 */
+        return kept - (direction < 0 ? -eased : eased) * (1.0 + t / fmax(rest_time, 1e-9));
     if (phase == BRAKING)
-        return carried - brake[k] * qd[k];
+        return kept - brake[k] * qd[k];
     if (phase == HELD)
         return Kp[k] * (origin - q[k]) - Kd[k] * qd[k] + sum[k];
     const double size = first + increment * floor(t / hold + 1e-9);
-    return carried + (direction < 0 ? -size : size);
+    return kept + (direction < 0 ? -size : size);
 }
 
 void UserISR_INT2(void) {
@@ -173,7 +184,7 @@ void UserISR_INT2(void) {
     for (int32_t j = 0; j < JOINTS; j++) {
         double beside = Kp[j] * (r[j] - q[j]) - Kd[j] * qd[j] + sum[j];
         if (j == k && phase == GOING) /* the mean of what holds it, over 0.1 s */
-            carried += fmin(1.0, SAMPLE_PERIOD / 0.1) * (beside - carried);
+            kept += fmin(1.0, SAMPLE_PERIOD / 0.1) * (beside - kept);
         if (j == k && phase != GOING)
             beside = push(k, rested - rest_time);
         const double most = TORQUE_MAX(j) > 0.0 ? TORQUE_MAX(j) : 1e12;

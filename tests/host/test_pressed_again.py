@@ -1,0 +1,75 @@
+"""Ctrl-C that is pressed again does not end what brings the machine to rest."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import zendsp.experiment.lab
+from zendsp.experiment import Lab
+from zendsp.experiment.gentle import CHANNELS, PROGRAM
+from zendsp.here import uninterrupted as here
+from zendsp.here.uninterrupted import uninterrupted
+from zendsp.link import Target, local
+from zendsp.recording import Recording
+
+
+@pytest.fixture(scope="module")
+def arm() -> Iterator[Target]:
+    with local("imi_planar", clock="fast", options=["--ideal", "--speed", "100"]) as target:
+        yield target
+
+
+def test_signals_are_dropped_while_a_machine_is_brought_to_rest_and_heard_after() -> None:
+    done = []
+    with uninterrupted():
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append("at rest")
+    assert done == ["at rest"]
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+    own = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:  # as every command has it
+        with uninterrupted():
+            os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, own)
+
+
+def test_a_rest_that_never_comes_is_interrupted_at_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(here, "PATIENCE_S", 0.0)
+    with pytest.raises(KeyboardInterrupt), uninterrupted():
+        os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_experiment_that_is_interrupted_twice_brakes_and_keeps_what_it_recorded(
+    arm: Target, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second Ctrl-C took the program away while the loop still braked, and the recording with
+    it.
+    """
+    stop = zendsp.experiment.lab._stop
+
+    def first(fraction: float) -> None:
+        if fraction > 0.02:
+            raise KeyboardInterrupt
+
+    def again(target: Target) -> None:
+        stop(target)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(zendsp.experiment.lab, "_stop", again)
+    monkeypatch.setattr(zendsp.experiment.lab, "_ending", lambda target, done: first)
+    arm.download("pd.c")
+    lab = Lab(tmp_path, arm)
+    with pytest.raises(KeyboardInterrupt), lab.bench("friction") as bench:
+        bench.record("moves", PROGRAM, CHANNELS, seconds=20.0)
+    trip = arm.status().trip
+    assert trip is not None and trip.reason == "stop"
+    assert len(Recording.load(tmp_path / "friction" / "moves_ended.npz")) > 100
+    arm.acknowledge()
