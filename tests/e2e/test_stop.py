@@ -23,7 +23,7 @@ from zendsp.errors import LinkError, NotStopped, Refused
 from zendsp.here.registered import local_entries
 from zendsp.here.stop_page import StopPage, find
 from zendsp.here.stopped import stopped
-from zendsp.link import Target, connect
+from zendsp.link import Target, connect, programs
 from zendsp_protocol import stop_page as page
 from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
@@ -127,6 +127,25 @@ def test_a_loop_that_hangs_is_not_stopped_and_stops_once_it_goes_on(
     finally:
         os.kill(runtime.runner_pid(), signal.SIGCONT)
     _latched(target)
+
+
+def test_a_stop_that_the_loop_took_late_is_none_that_failed_where_the_target_does_not_answer(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy computer a loop takes it after 50 ms, and the target's process answers nothing:
+    NOT STOPPED was said of a machine that stood.
+    """
+    monkeypatch.setattr(programs, "TAKEN_S", 0.0)
+
+    def silent(verb: str, **_: object) -> None:
+        until(lambda: target.link.request("status", {}).trip is not None, "the loop took it")
+        raise LinkError(f"{verb!r} was not answered")
+
+    monkeypatch.setattr(target.programs, "request", silent)
+    status = target.stop()
+    assert status.trip is not None and status.trip.reason == "stop"
+    monkeypatch.undo()
+    assert status.trip.tick == _latched(target)
 
 
 def test_a_stop_asked_of_a_loop_that_died_is_latched_until_acknowledged(

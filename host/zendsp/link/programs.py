@@ -155,8 +155,8 @@ class Programs(Part):
         """
         begin = time.monotonic()
         page = self.stop_page()
-        sample = None if page is None else page.taken(page.ask(), TAKEN_S)
-        known = None if sample is None else self._stopped_at(sample)
+        asked = None if page is None else page.ask()
+        known = self._taken(page, asked, TAKEN_S)
         if known is not None and not known.unsafe:
             return known
         try:
@@ -174,7 +174,18 @@ class Programs(Part):
                     )
                 time.sleep(0.002)
         except ZendspError as error:
+            # the loop may have taken it meanwhile, while the target's process has no time to answer
+            known = self._taken(page, asked, 0.0)
+            if known is not None and not known.unsafe:
+                return known
             raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
+
+    def _taken(self, page: StopPage | None, asked: int | None, timeout: float) -> m.Status | None:
+        """The status once the loop says on its page that it has stopped; None where it does not."""
+        if page is None or asked is None:
+            return None
+        sample = page.taken(asked, timeout)
+        return None if sample is None else self._stopped_at(sample)
 
     def stop_page(self) -> StopPage | None:
         """The file by which `stop` acts first, for a target of this user on this computer; None
