@@ -148,12 +148,15 @@ def test_friction_that_varies_with_place_is_not_taken_for_inertia(tmp_path: Path
     import zendsp
 
     options = ["--speed", "100", "--machine-option", "substep=2e-4", "--machine-option"]
-    for seed in (1, 3):
+    copies = []
+    for seed in (1, 2, 3):
         with zendsp.local("imi_planar", clock="fast", options=[*options, f"seed={seed}"]) as target:
-            found = any_friction(Lab(tmp_path, target, seed=seed), joints=(1,)).values
-        for name, true in (("viscous1", 5.3), ("viscous1_pos", 5.406), ("viscous1_neg", 5.194)):
-            assert abs(found[name].value - true) < 1.96 * found[name].std, name
-        assert found["viscous1"].std < 0.16, "0.21 without the ramps"
+            copies.append(any_friction(Lab(tmp_path, target, seed=seed), joints=(1,)).values)
+    for name, true in (("viscous1", 5.3), ("viscous1_pos", 5.406), ("viscous1_neg", 5.194)):
+        off = sorted(abs(found[name].value - true) / found[name].std for found in copies)
+        # of one copy in twenty chance is more than 1.96, of two of three one in 140
+        assert off[1] < 1.96 and off[2] < 4.0, (name, off)
+    assert all(found["viscous1"].std < 0.16 for found in copies), "0.21 without the ramps"
 
 
 def test_the_weight_of_a_slide_is_not_taken_for_friction(tmp_path: Path) -> None:
