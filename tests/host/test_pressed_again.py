@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+import zendsp
 import zendsp.experiment.lab
+import zendsp.experiment.player
 from zendsp.experiment import Lab
 from zendsp.experiment.gentle import CHANNELS, PROGRAM
 from zendsp.here import uninterrupted as here
@@ -73,3 +75,28 @@ def test_an_experiment_that_is_interrupted_twice_brakes_and_keeps_what_it_record
     assert trip is not None and trip.reason == "stop"
     assert len(Recording.load(tmp_path / "friction" / "moves_ended.npz")) > 100
     arm.acknowledge()
+
+
+def test_a_frequency_response_that_is_interrupted_twice_leaves_the_machine_at_rest(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second Ctrl-C left the machine running, with the parameters of before."""
+    position = zendsp.experiment.player.position
+
+    def again(target: Target) -> object:
+        os.kill(os.getpid(), signal.SIGINT)
+        return position(target)
+
+    def first(fraction: float) -> None:
+        if fraction > 0.0:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(zendsp.experiment.player, "position", again)
+    with local("imi_planar", options=["--ideal", "--spin", "0"]) as target:
+        target.download("pd.c")
+        with pytest.raises(KeyboardInterrupt):
+            zendsp.frequency_response(
+                target, f_min=4.0, f_max=20.0, lines=4, periods=200, amplitude=0.004,
+                rehearsed=False, progress=first,
+            )  # fmt: skip
+        assert target.status().state == "paused"
