@@ -47,3 +47,17 @@ def test_ctrl_c_ends_the_recording_and_pauses_what_was_started_with_it(target: T
         assert target.acquire_status().state == "done"
         assert len(target.acquire_load()) > 0
     assert target.acquire(["tick"], 0.1).lost == 0
+
+
+def test_so_does_an_error_of_the_users_own_progress(target: Target) -> None:
+    """The machine went on moving until the time of the recording was over."""
+
+    def fail(share: float) -> None:
+        if share > 0.0:
+            raise ZeroDivisionError
+
+    target.download("template.c")
+    with pytest.raises(ZeroDivisionError):
+        target.acquire(["tick"], 1e4, start=True, progress=fail)
+    assert target.status().state == "paused"
+    assert target.acquire_status().state == "done" and len(target.acquire_load()) > 0

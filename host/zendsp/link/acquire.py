@@ -75,8 +75,9 @@ class Recorder(Transfers):
         patience: float = PATIENCE_S,
         pauses: bool = True,
     ) -> Recording:
-        """Record channels for some time and return the recording. Ctrl-C ends the recording on the
-        target too; `acquire_load` then returns what was recorded.
+        """Record channels for some time and return the recording. Ctrl-C, and an error of
+        ``progress``, end the recording on the target too; `acquire_load` then returns what was
+        recorded.
 
         Parameters
         ----------
@@ -104,8 +105,8 @@ class Recorder(Transfers):
         patience : float, s
             For a broken link to come back; the transfer resumes where it stopped.
         pauses : bool
-            Ctrl-C also pauses a program that was started with the recording. False: who asks sees
-            to it.
+            They also pause a program that was started with the recording. False: who asks sees to
+            it.
 
         Returns
         -------
@@ -146,7 +147,9 @@ class Recorder(Transfers):
                 wanted = max(1, round(seconds * status.rate_hz / decimation))
                 return self._follow(wanted, note, timeout, patience, progress)
             return self.acquire_finish(timeout, note, progress, patience)
-        except (KeyboardInterrupt, SystemExit):  # nobody waits for it any more
+        except ZendspError:
+            raise
+        except BaseException:  # Ctrl-C, or what `progress` raised: nobody waits for it any more
             with uninterrupted(), contextlib.suppress(ZendspError):
                 if start and pauses:
                     self.request("pause")
