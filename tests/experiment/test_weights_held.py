@@ -91,6 +91,19 @@ def test_breakaway_begins_at_what_holds_the_joint_not_at_what_is_believed_of_its
     assert 0.5 * (found[1] + found[-1]) == pytest.approx(weight, abs=0.03 * level + 0.01)
 
 
+def test_a_push_from_where_friction_has_all_but_broken_away_is_made_again_from_farther_off(
+    tmp_path: Path,
+) -> None:
+    """What holds a joint lies anywhere within friction of its weight, and here at its end."""
+    with benched(tmp_path, ARM.format(*SMALL), 1.0) as (_, _, bench, known):
+        known = elbow(bench, known, WEIGHT, SMALL[1])
+        pusher, axis = Pusher(bench, known), known.axes[2]
+        rec = _push(pusher, "edge", 2, -1, 1.26, axis.slow, HOLD)
+        assert bench.recordings[-2:] == ["edge.npz", "edge_eased.npz"]
+        held, _ = breakaway_torque(rec, known, 2, -1)
+    assert held == pytest.approx(SMALL[1], rel=0.03)
+
+
 def test_a_recording_begins_with_what_held_the_joints_where_the_machine_stands(
     tmp_path: Path,
 ) -> None:

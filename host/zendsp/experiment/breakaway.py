@@ -34,7 +34,9 @@ from zendsp.recording import Recording
 FAST_HOLD = 0.001
 CREEP = 0.006  # of the stiffness: what they still creep, as pushes of other speeds show
 FAST_WINDOW = 0.031  # s that a fast push is smoothed over
-EARLY, EASED = 0.25, 0.5  # of the friction: a push that ends so early is made again, eased by
+# of the friction: a push that ends so early (a fast one in 0.3 s, of which 0.2 s are smoothed over)
+# is made again, with so much taken off what holds the joint
+EARLY, EASED = 0.15, 0.5
 # of the encoder, that bristles must bend by for their stiffness to be told: at 16 counts it is 3 %
 # off, at 12 6 %, at 8 47 % (docs/measurements/experiments.md)
 COUNTS = 12.0
@@ -310,7 +312,8 @@ def _push(
         steps = Steps(joint, direction, position, rate, hold, enough)
         rec = staircase(pusher, word, steps, eased)
         if (rec["phase"] >= BRAKING).any():
-            if axis.load.weighs and not eased and _grown(rec) < EARLY * axis.level:
+            grown = rate * rec.sample_time * int((rec["phase"] == PUSHING).sum())
+            if axis.load.weighs and not eased and grown < EARLY * axis.level:
                 eased, word = EASED * axis.level, f"{word}_eased"
                 continue
             return rec
@@ -319,12 +322,6 @@ def _push(
             return rec
         may = one_way(pusher, f"{word}_back", steps, rec)
         enough, word = min(2.0 * enough, most, may), f"{word}_more"
-
-
-def _grown(rec: Recording) -> float:
-    """By how much the torque of a push grew until the joint went, N m."""
-    torque = rec["torque"][rec["phase"] == PUSHING]
-    return abs(float(torque[-1] - torque[0])) if len(torque) else 0.0
 
 
 def _draw(found: Mapping[int, Pushes], bench: Bench) -> str:
