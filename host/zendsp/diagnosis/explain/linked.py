@@ -15,9 +15,13 @@ from zendsp.diagnosis.explain.joints import Done, Explained, explain, with_bodie
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.transmission.arm_chain import springs_of
-from zendsp.diagnosis.transmission.arm_motion import is_chain
+from zendsp.diagnosis.transmission.arm_motion import is_chain, with_springs_at
 from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.diagnosis.transmission.other_springs import with_other_spring
+from zendsp.diagnosis.transmission.other_springs import (
+    likeliest_springs,
+    needed_springs,
+    with_other_spring,
+)
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
@@ -25,7 +29,6 @@ from zendsp.physics.model import Model
 # Springs and the motion that others feel are estimated in turns, until no stiffness moves by more
 # than this part. A soft spring of an arm went from 107 to 104, 97.9 and 97.6 N m/rad (true: 97.2).
 STIFFNESS_MOVED, IN_TURNS = 0.01, 3
-FEW = 3  # joints: seven take 6 s for each estimate of their links' motion
 
 
 @dataclass(frozen=True)
@@ -86,13 +89,9 @@ def with_their_links(
     now = _Felt(divided(beneath), parts, first)
     while found := _unseen(now.proposed, "transmission", "measurement") - now.joints:
         tell(Step.ASSEMBLING.says("the links that nobody sees: what the other joints feel"))
-        tried = [_with_link(machine, now, joint) for joint in found]
-        claims, error = sum(len(d.claims) for d in now.proposed), now.cost[1]
-        fit = [
-            t
-            for t in tried
-            if t.cost[0] < claims + len(t.joints - now.joints) and t.cost[1] <= error
-        ]
+        together = _with_several(machine, now, found)
+        tried = [together] if together else [_with_link(machine, now, joint) for joint in found]
+        fit = [t for t in tried if _explains(t, now)]
         if not fit:
             break
         now = min(fit, key=lambda t: t.cost)
@@ -109,23 +108,54 @@ def with_their_links(
     return now.parts, (explained[0], calm, explained[2])
 
 
+def _explains(felt: _Felt, before: _Felt) -> bool:
+    """Whether an explanation claims no more than the one before, but for a spring of each joint
+    whose link was not felt there, and predicts no worse.
+    """
+    claims = sum(len(d.claims) for d in before.proposed)
+    new = len(felt.joints - before.joints)
+    return felt.cost[0] < claims + new and felt.cost[1] <= before.cost[1]
+
+
+def _with_several(machine: _Machine, now: _Felt, found: frozenset[int]) -> _Felt | None:
+    """The explanation in which others feel the links behind springs of several joints that all
+    encoders together need; None where these are fewer than two, or it does not claim them or does
+    not pay. One after the other, each spring would take up a part of the others.
+    """
+    model = now.explained[2].improved
+    for decision in now.proposed:
+        if decision.joint in found:
+            model = _with_proposed(model, now, decision)
+    joints = now.joints | found
+    if len(joints) < 2 or not is_chain(now.parts.fit, model, joints):
+        return None
+    needed = needed_springs(now.parts.fit, model, joints)
+    joints = frozenset(springs_of(needed)) if needed else frozenset()
+    if needed is None or len(joints) < 2 or not joints > now.joints:
+        return None
+    felt = _settled(machine, needed, joints)
+    return felt if _claims_all(machine, felt) and _explains(felt, now) else None
+
+
 def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
     """The explanation in which others feel the link of one more joint. Behind springs of an arm all
     joints are explained again, with links that move as all encoders say: the springs fitted to
-    accelerations that were wrong. Of many joints that takes long, and is done where one surely
-    lacks something. What a joint still lacks may be a spring that this one hid.
+    accelerations that were wrong.
     """
-    decision, improved = now.proposed[joint - 1], now.explained[2].improved
-    stands = decision is now.explained[1][joint - 1]
-    model = improved if stands else _with_joint(improved, decision)
+    decision = now.proposed[joint - 1]
+    model = _with_proposed(now.explained[2].improved, now, decision)
     joints = now.joints | {joint}
-    chain = is_chain(now.parts.fit, model, joints)
-    if not chain or model.joints > FEW:
-        parts = with_links(machine.measured_motion, model, joints, together=False)
-        kept = now.explained[0][joint - 1], decision
-        plain = _Felt(joints, parts, _explain(machine, parts, {joint: kept}))
-        if not (chain and plain.lacking):
-            return plain
+    if is_chain(now.parts.fit, model, joints):
+        return _settled(machine, model, joints)
+    parts = with_links(machine.measured_motion, model, joints, together=False)
+    kept = now.explained[0][joint - 1], decision
+    return _Felt(joints, parts, _explain(machine, parts, {joint: kept}))
+
+
+def _settled(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
+    """The explanation of an arm with springs at some joints. What a joint still lacks may be a
+    spring that these hid.
+    """
     alone = _in_turns(machine, model, joints)
     lacking = alone.lacking - joints
     if not lacking:
@@ -140,19 +170,24 @@ def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
     if other is None:
         return alone
     both = _in_turns(machine, other, joints | frozenset(springs_of(other)))
-    claimed = _unseen(both.proposed, "transmission") | divided(machine.beneath)
-    return both if both.joints <= claimed and both.cost[1] < alone.cost[1] else alone
+    return both if _claims_all(machine, both) and both.cost[1] < alone.cost[1] else alone
+
+
+def _claims_all(machine: _Machine, felt: _Felt) -> bool:
+    """Whether every joint whose link is felt claims its own transmission."""
+    return felt.joints <= _unseen(felt.proposed, "transmission") | divided(machine.beneath)
 
 
 def _in_turns(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
     """The explanation of an arm with springs at some joints: these, and the motion that others feel
-    of them, in turns.
+    of them, in turns. Several springs are those of all encoders: a joint by itself fits its own to
+    a motion that the others' springs made, and follows them slowly.
     """
     parts = with_links(machine.measured_motion, model, joints)
     now = _Felt(joints, parts, _explain(machine, parts, {}))
     for _ in range(IN_TURNS):
-        after = now.explained[2].improved
-        if not is_chain(now.parts.fit, after, joints) or not _moved(model, after, joints):
+        after = _springs_after(now, model, joints)
+        if after is None or not _moved(model, after, joints):
             break
         parts = with_links(machine.measured_motion, after, joints)
         kept = {
@@ -167,6 +202,20 @@ def _in_turns(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
     return now
 
 
+def _springs_after(now: _Felt, model: Model, joints: frozenset[int]) -> Model | None:
+    """The explained model with the springs to go on with; None where these are none. Several are
+    elastic ones, though beside wrong others one may seem to stiffen.
+    """
+    after = now.explained[2].improved
+    if len(joints) == 1:
+        return after if is_chain(now.parts.fit, after, joints) else None
+    if not joints <= _unseen(now.proposed, "transmission"):
+        return None
+    kept = with_springs_at(after, set(springs_of(after)) - joints).terms
+    elastic = tuple(springs_of(model)[joint] for joint in sorted(joints))
+    return likeliest_springs(now.parts.fit, after.with_terms((*kept, *elastic)), joints)
+
+
 def _moved(before: Model, after: Model, joints: frozenset[int]) -> bool:
     """Whether a stiffness has moved."""
     was, now = springs_of(before), springs_of(after)
@@ -179,8 +228,10 @@ def _explain(machine: _Machine, parts: Parts, known: Done) -> Explained:
     return explain(with_bodies(parts, m.beneath), m.given, m.beneath, m.jobs, m.tell, known)
 
 
-def _with_joint(model: Model, decision: Decision) -> Model:
-    """The improved model with what a decision that was given up has at its joint."""
+def _with_proposed(model: Model, now: _Felt, decision: Decision) -> Model:
+    """The improved model, with what a decision that was given up has at its joint."""
+    if decision is now.explained[1][decision.joint - 1]:
+        return model
     others = (t for t in model.terms if t.joint != decision.joint)
     return model.with_terms((*others, *decision.final.model.at(decision.joint)))
 

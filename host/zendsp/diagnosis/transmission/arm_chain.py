@@ -79,6 +79,10 @@ class Chain:
         """
         return self._smoothed(strength, self.torques, self.seen[0], self.start[0])
 
+    def deviance(self, strength: Array) -> float:
+        """-2 log-likelihood, as ``smoothed`` says it, by the filter alone."""
+        return self._run(strength, self.torques, self.seen[0], self.start[0], None)
+
     def link_motion(self, states: Array) -> Array:
         """Motion of the links within samples, (joints, 3, n)."""
         speeds = states[:, self.links + len(self.usual)]
@@ -113,6 +117,13 @@ class Chain:
     def _smoothed(
         self, strength: Array, torques: Array, value: Array, first: Array
     ) -> tuple[float, Array]:
+        out = np.empty((len(torques), len(first)))
+        return self._run(strength, torques, value, first, out), out
+
+    def _run(
+        self, strength: Array, torques: Array, value: Array, first: Array, out: Array | None
+    ) -> float:
+        """-2 log-likelihood. Fills ``out`` with the smoothed states."""
         lib = native()
         p, ffi = lib.doubles, lib.ffi
         (n, c), d, m = torques.shape, len(first), value.shape[1]
@@ -123,8 +134,9 @@ class Chain:
         value = np.ascontiguousarray(value)
         z.value, z.half, z.R = p(value), p(self.seen[1]), p(self.seen[2])
         z.at, z.x0, z.p0 = ffi.cast("int *", ffi.from_buffer(at)), p(first), p(self.start[1])
-        work, out = np.empty(n * (m * (d + 2) + d) + 3 * d * d), np.empty((n, d))
-        return float(lib.lib.zf_smooth_chain(z, p(work), p(out))), out
+        work = np.empty(m * (d + 2) if out is None else n * (m * (d + 2) + d))
+        smoothed = ffi.NULL if out is None else p(out)
+        return float(lib.lib.zf_smooth_chain(z, p(work), smoothed))
 
 
 def springs_of(model: Model) -> dict[int, Term]:
@@ -132,34 +144,64 @@ def springs_of(model: Model) -> dict[int, Term]:
     return {t.joint: t for t in model.terms if get_effect(t.effect).family == "transmission"}
 
 
-def chain_along(rec: Records, data: Data, model: Model, motion: Array) -> Chain | None:
-    """An arm along the motion of its links as known so far, (joints, 3, n); None where the numbers
-    of the model are those of no body.
+@dataclass(frozen=True)
+class Path:
+    """The motion of an arm's links as known so far, and what follows from it whatever springs the
+    arm has.
+
+    Attributes
+    ----------
+    masses : ndarray, shape (poses, joints, joints)
+    at_motors, at_links, unsure : ndarray, shape (n, joints)
+        Known torques, and the variance of dry friction where a motor may stand, (N m)² or N².
     """
-    sample_time = rec[0].sample_time
-    every = max(1, round(POSES / sample_time))
-    springs = springs_of(model)
-    links = np.arange(len(rec))
-    for i, joint in enumerate(springs):
-        links[joint - 1] = len(rec) + i
-    masses = masses_along(rec, model, motion[:, :, ::every])
-    whole = _with_motors(rec, model, masses, links)
-    if not np.all(np.isfinite(whole)) or not np.linalg.eigvalsh(whole).min() > 0.0:
-        return None
-    A, G = _discrete(whole, springs, links, sample_time)
-    torques, unsure = _torques(rec, data, model, motion, links)
+
+    rec: Records
+    masses: Array
+    at_motors: Array
+    at_links: Array
+    unsure: Array
+    seen: tuple[Array, Array, Array]
+    every: int
+
+
+def path_along(rec: Records, data: Data, model: Model, motion: Array) -> Path:
+    """The motion of an arm's links, (joints, 3, n), as a ``Path``."""
+    every = max(1, round(POSES / rec[0].sample_time))
     shift = [per_joint(model.sensor.offset, r.joint, 0.0) - r.base_offset for r in rec]
     value, half, variance = (
         np.ascontiguousarray(np.stack([getattr(r.measurement, name) for r in rec], axis=1))
         for name in ("value", "half", "variance")
     )
     value += np.array(shift) - np.stack([_sensor_error(r, model) for r in rec], axis=1)
+    masses = masses_along(rec, model, motion[:, :, ::every])
+    torques = _torques(rec, data, model, motion)
+    return Path(rec, masses, *torques, (value, half, variance), every)
+
+
+def chain_of(path: Path, model: Model) -> Chain | None:
+    """An arm along a path with the springs of a model; None where the numbers of the model are
+    those of no body.
+    """
+    rec, springs = path.rec, springs_of(model)
+    sample_time = rec[0].sample_time
+    links = np.arange(len(rec))
+    for i, joint in enumerate(springs):
+        links[joint - 1] = len(rec) + i
+    whole = _with_motors(rec, model, path.masses, links)
+    if not np.all(np.isfinite(whole)) or not np.linalg.eigvalsh(whole).min() > 0.0:
+        return None
+    A, G = _discrete(whole, springs, links, sample_time)
+    torques = np.zeros((rec[0].n, len(rec) + len(springs)))
+    unsure = np.zeros_like(torques)
+    torques[:, links] = path.at_links
+    torques[:, : len(rec)] += path.at_motors
+    unsure[:, : len(rec)] = path.unsure
     usual = np.array([r.scale.torque for r in rec] + [rec[j - 1].scale.torque for j in springs])
-    start = _start(rec, springs, links, value[0], torques[0])
+    start = _start(rec, springs, links, path.seen[0][0], torques[0])
     return Chain(
-        masses, A, G, torques, unsure, (value, half, variance), start, links, usual, sample_time,
-        every,
-    )  # fmt: skip
+        path.masses, A, G, torques, unsure, path.seen, start, links, usual, sample_time, path.every
+    )
 
 
 def rigid_along(rec: Records, model: Model, motion: Array) -> list[tuple[Array, Array]]:
@@ -252,32 +294,30 @@ def _exponential(rate: Array) -> Array:
 
 
 def _torques(
-    rec: Records, data: Data, model: Model, motion: Array, links: npt.NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """The known torques of a ``Chain``, and the variance of dry friction where a motor may stand.
-    """
+    rec: Records, data: Data, model: Model, motion: Array
+) -> tuple[Array, Array, Array]:
+    """The torques of a ``Path`` at motors and links, and the variance of dry friction."""
     still = motion.copy()
     still[:, 2] = 0.0
-    torques = np.zeros((rec[0].n, len(rec) + len(springs_of(model))))
-    unsure = np.zeros_like(torques)
     rigid = rigid_along(rec, model, still)
+    at_links = -np.stack([bias for _, bias in rigid], axis=1)
+    at_motors, unsure = np.empty_like(at_links), np.zeros_like(at_links)
     for j, record in enumerate(rec):
-        torques[:, links[j]] -= rigid[j][1]
         states = within_samples(record.motion.states, record.sample_time)
         band = data.bandwidth[j]
         driven = run(record, model, band, inner=data.inner, states="seen").torque
         assert driven is not None
-        torques[:, j] += driven
+        at_motors[:, j] = driven
         terms = tuple(t for t in model.at(j + 1) if get_effect(t.effect).site in OF_MOTION)
         if not terms:
             continue
         slow = MAY_STAND * float(np.sqrt(np.median(record.motion.variances[1])))
         moving = replace(record, motion=replace(record.motion, states=states))
-        torques[:, j] -= trace(moving, model, terms, 0.1 * slow)
+        at_motors[:, j] -= trace(moving, model, terms, 0.1 * slow)
         level = sum(t.value("level") for t in terms if get_effect(t.effect).site == "dry")
         around = round(AROUND_A_STOP / record.sample_time)
         unsure[:, j] = level**2 * widened(np.abs(states[1]) < slow, around)
-    return torques, unsure
+    return at_motors, at_links, unsure
 
 
 def _sensor_error(record: JointRecord, model: Model) -> Array:
@@ -321,7 +361,7 @@ def strongest(
     def ask(strength: Array) -> float:
         key = tuple(strength)
         if key not in asked:
-            value = chain.smoothed(strength)[0]
+            value = chain.deviance(strength)
             asked[key] = value if math.isfinite(value) else math.inf
         return asked[key]
 

@@ -18,7 +18,8 @@ from zendsp.diagnosis.data.prepare import within_samples
 from zendsp.diagnosis.transmission.arm_chain import (
     Chain,
     Records,
-    chain_along,
+    chain_of,
+    path_along,
     springs_of,
     strongest,
 )
@@ -36,11 +37,14 @@ BY_FACTORS = (10.0, 3.0)  # factors by which each is then changed
 
 @dataclass(frozen=True)
 class ArmMotion:
-    """Links within samples, (joints, 3, n), the chain along them, and its unknown torques."""
+    """Links within samples, (joints, 3, n), the chain along them, its unknown torques, and its
+    -2 log-likelihood.
+    """
 
     links: Array
     chain: Chain
     strength: Array
+    deviance: float
 
 
 def is_chain(data: Data, model: Model, joints: Collection[int]) -> bool:
@@ -76,7 +80,7 @@ def arm_motion(rec: Records, data: Data, model: Model) -> ArmMotion | None:
     links = np.stack([within_samples(r.motion.states, r.sample_time) for r in rec])
     found = None
     for _ in range(SMOOTHINGS):
-        chain = chain_along(rec, data, model, links)
+        chain = chain_of(path_along(rec, data, model, links), model)
         if chain is None:
             return None
         begin = UNKNOWN if found is None else found.strength[np.newaxis]
@@ -85,5 +89,5 @@ def arm_motion(rec: Records, data: Data, model: Model) -> ArmMotion | None:
         if not np.isfinite(value):
             return None
         links = chain.link_motion(states)
-        found = ArmMotion(links, chain, strength)
+        found = ArmMotion(links, chain, strength, value)
     return found
