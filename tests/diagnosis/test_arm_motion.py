@@ -11,9 +11,10 @@ import pytest
 from zendsp.diagnosis.data.prepare import at_their_poses, prepare, within_samples
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
+from zendsp.diagnosis.transmission.arm_chain import Chain, springs_of
 from zendsp.diagnosis.transmission.arm_motion import arm_motion, is_chain, with_springs_at
 from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.diagnosis.transmission.other_springs import with_other_spring
+from zendsp.diagnosis.transmission.other_springs import needed_springs, with_other_spring
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
@@ -151,6 +152,85 @@ def test_a_spring_that_another_hides_is_found(tmp_path: Path) -> None:
         assert found is not None
         spring = next(t for t in found.at(hidden) if t.effect == "elasticity")
         assert spring.value("stiffness") == pytest.approx(STIFFNESS[hidden - 1], rel=0.2)
+
+
+def _scaled(model: Model, by: dict[int, float]) -> Model:
+    """The model with stiffer springs at some joints (1-based), by a factor each."""
+    terms = list(model.terms)
+    for i, t in enumerate(terms):
+        if t.effect == "elasticity":
+            stiff = t.parameters["stiffness"]
+            other = {"stiffness": replace(stiff, value=by[t.joint] * stiff.value)}
+            terms[i] = replace(t, parameters={**t.parameters, **other})
+    return model.with_terms(tuple(terms))
+
+
+def test_two_springs_that_take_up_one_another_are_told_apart(tmp_path: Path) -> None:
+    """Each by itself fits a third and two thirds of its stiffness to what both do: of 12467 and
+    1478 N m/rad one of 3915 was found.
+    """
+    data, model, _ = _prepared(tmp_path, (0, 1))
+    found = needed_springs(data, _scaled(model, {1: 0.33, 2: 0.67}), {1, 2})
+    assert found is not None
+    for joint, spring in springs_of(found).items():
+        assert spring.value("stiffness") == pytest.approx(STIFFNESS[joint - 1], rel=0.05)
+
+
+def test_a_spring_that_took_up_another_does_not_keep_it_hidden(tmp_path: Path) -> None:
+    """The second spring alone is 64 N m/rad for 110: beside that, no first one pays."""
+    data, model, _ = _prepared(tmp_path, (0, 1))
+    alone = needed_springs(data, with_springs_at(model, {2}), {2})
+    assert alone is not None
+    assert springs_of(alone)[2].value("stiffness") < 0.8 * STIFFNESS[1]
+    found = with_other_spring(data, alone, {2}, {1, 2})
+    assert found is not None
+    for joint, spring in springs_of(found).items():
+        assert spring.value("stiffness") == pytest.approx(STIFFNESS[joint - 1], rel=0.1)
+
+
+def test_of_two_springs_one_that_only_imitates_the_other_is_dropped(tmp_path: Path) -> None:
+    for true in (0, 1):
+        data, model, _ = _prepared(tmp_path, (true,))
+        both = _model(tmp_path, (0, 1)).terms
+        found = needed_springs(data, model.with_terms(both), {1, 2})
+        assert found is not None and set(springs_of(found)) == {true + 1}
+
+
+def test_the_filter_of_an_arm_says_what_a_dense_one_says() -> None:
+    """Also where a sensor rests on a plateau, says nothing, or a torque becomes unsure."""
+    rng = np.random.default_rng(3)
+    n, every, c, m = 40, 8, 5, 3
+    d = 2 * c
+    A = np.eye(d) + 0.1 * rng.standard_normal((n // every, d, d))
+    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max(axis=1)[:, None, None]
+    G = rng.standard_normal((n // every, d, c))
+    f, unsure = rng.standard_normal((n, c)), np.zeros((n, c))
+    unsure[13:21, 2] = 4.0
+    value, half = 2.0 * rng.standard_normal((n, m)), np.zeros((n, m))
+    variance = np.full((n, m), 0.3)
+    half[5:9, 1], variance[17:20, 0] = 0.4, -1.0
+    first, spread, usual = rng.standard_normal(d), rng.uniform(0.5, 2.0, d), np.full(c, 2.0)
+    places = np.arange(c)
+    chain = Chain(
+        np.zeros((n // every, m, m)), A, G, f, unsure, (value, half, variance), (first, spread),
+        places, usual, 0.01, every,
+    )  # fmt: skip
+    strength = rng.uniform(0.1, 1.0, c)
+    x, P, deviance = first, np.diag(spread), 0.0
+    for k in range(n):
+        for i in np.flatnonzero(variance[k] > 0.0):
+            error = value[k, i] - x[i]
+            error = np.sign(error) * max(abs(error) - half[k, i], 0.0)
+            S = P[i, i] + variance[k, i]
+            gain = P[:, i] / S
+            x, P = x + gain * error, P - S * np.outer(gain, gain)
+            deviance += np.log(S) + error**2 / S
+        a, g = A[k // every], G[k // every]
+        x = a @ x + g @ f[k]
+        P = a @ P @ a.T + g @ np.diag(unsure[k] + (strength * usual) ** 2) @ g.T
+    smoothed = chain.smoothed(strength)[0]
+    assert smoothed == pytest.approx(deviance, rel=1e-10), "both round"
+    assert chain.deviance(strength) == smoothed
 
 
 def test_a_rigid_joint_beside_a_spring_has_none(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ def felt(monkeypatch: pytest.MonkeyPatch) -> dict[frozenset[int], tuple[Any, flo
         linked, "with_links", lambda _, __, felt, **___: _Parts(fit=None, choose=felt, felt=felt)
     )
     monkeypatch.setattr(linked, "is_chain", lambda *_: False)
+    monkeypatch.setattr(linked, "springs_of", lambda _: both)
     monkeypatch.setattr(linked, "with_bodies", lambda parts, _: parts)
     monkeypatch.setattr(linked, "explain", lambda parts, *_: answers[parts.felt][0])
 
@@ -86,3 +87,24 @@ def test_a_link_is_felt_though_the_machine_was_worse_with_its_joint(
     felt[frozenset({1, 2})] = felt[frozenset({1})]
     _, (_, decisions, _) = _ask(first)
     assert [len(d.claims) for d in decisions] == ([1, 0] if better else [0, 0])
+
+
+def test_springs_that_all_encoders_need_are_explained_together(
+    felt: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Springs of joints 2 and 3 of an arm: with the link of either one felt, one spring explains
+    both with one claim less, and fifty times the error.
+    """
+    first = _explained(_decision(1, 1), _decision(2, 1))
+    felt[frozenset()] = first, -34.0
+    felt[frozenset({1})] = _explained(_decision(1, 1), _decision(2, 0)), -35.7
+    felt[frozenset({2})] = _explained(_decision(1, 0), _decision(2, 1)), -35.8
+    felt[frozenset({1, 2})] = first, -43.8
+    parts, _ = _ask(first)
+    assert len(parts.felt) == 1, "without encoders of all, one joint after the other"
+    monkeypatch.setattr(linked, "is_chain", lambda *_: True)
+    monkeypatch.setattr(linked, "needed_springs", lambda _, model, __: model)
+    monkeypatch.setattr(linked, "_springs_after", lambda *_: None)
+    monkeypatch.setattr(linked._Felt, "lacking", frozenset())
+    parts, (_, decisions, _) = _ask(first)
+    assert parts.felt == frozenset({1, 2}) and [len(d.claims) for d in decisions] == [1, 1]

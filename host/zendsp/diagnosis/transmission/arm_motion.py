@@ -15,14 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from zendsp.diagnosis.data.prepare import within_samples
-from zendsp.diagnosis.transmission.arm_chain import (
-    Chain,
-    Records,
-    chain_of,
-    path_along,
-    springs_of,
-    strongest,
-)
+from zendsp.diagnosis.transmission.arm_chain import Chain, chain_of, springs_of, strongest
+from zendsp.diagnosis.transmission.arm_path import Records, path_along
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.signals import Array

@@ -10,15 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.transmission.arm_chain import (
-    Path,
-    Records,
-    chain_of,
-    path_along,
-    springs_of,
-    strongest,
-)
+from zendsp.diagnosis.transmission.arm_chain import chain_of, springs_of, strongest
 from zendsp.diagnosis.transmission.arm_motion import ArmMotion, arm_motion, with_springs_at
+from zendsp.diagnosis.transmission.arm_path import Path, Records, path_along
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import facts
 from zendsp.physics.effects.elasticity import RESONANCES
