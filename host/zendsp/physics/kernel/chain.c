@@ -153,8 +153,8 @@ static void chain_backward(const zf_chain *C, const double *kept, double *adjoin
 }
 
 /* Smoothed states out[n x d]: a Kalman filter, its adjoint, and the motion under the torques that
- * this finds (Koopman 1993). work: n (m (d + 2) + d), or m (d + 2) where ``out`` is NULL: nothing is
- * smoothed. Returns -2 log-likelihood; NaN where there are too many states. */
+ * this finds (Koopman 1993). Where ``out`` is NULL nothing is smoothed. work: n (m (d + 2) + d), or
+ * m (d + 2) without ``out``. Returns -2 log-likelihood; NaN where there are too many states. */
 double zf_smooth_chain(const zf_chain *C, double *work, double *out)
 {
     const int d = C->d, c = C->c;
