@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.thresholds import SURE, TOLERANCE
+from zendsp.diagnosis.decide.thresholds import SPRINGS_SHIFT, SURE, TOLERANCE
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.physics.calibration.convergence import with_step_error
@@ -166,6 +166,22 @@ def with_slower_observer(data: Data, fitted: Fit, joint: int, jobs: int) -> Fit:
     return replace(fitted, covariance=fitted.covariance + np.diag(np.maximum(apart, 0.0)))
 
 
+def _beside_other_springs(searches: Sequence[Decision], agreed: dict[int, Fit]) -> dict[int, Fit]:
+    """The fits, where several joints claim a transmission with a wider stiffness: each joint feels
+    what is known of the other's link, which no block of time shows.
+    """
+    joints = [s.joint for s in searches if any(c.is_transmission for c in s.claims)]
+    if len(joints) < 2:
+        return agreed
+    wider = {}
+    for joint in joints:
+        fitted = agreed[joint]
+        stiff = np.array([h.key == "stiffness" for h in fitted.handles])
+        shift = SPRINGS_SHIFT * stiff * fitted.x
+        wider[joint] = replace(fitted, covariance=fitted.covariance + np.diag(np.square(shift)))
+    return {**agreed, **wider}
+
+
 def beside_given_gravity(given: Model, joint: int, fitted: Fit) -> Fit:
     """A gravity found beside the model's own, converted to act beside the given number, which is
     known to TOLERANCE. G sin q + A sin(q - φ) is the same torque for any G with suitable A and φ.
@@ -216,7 +232,7 @@ def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int
             if any(c.is_transmission for c in s.claims):
                 told = agreed[s.joint]
                 agreed[s.joint] = with_slower_observer(s.final.data, told, s.joint, jobs)
-        agreed = {**certain, **agreed}
+        agreed = _beside_other_springs(searches, {**certain, **agreed})
         for s in searches:
             if given.mechanism.get("gravity") and any(c.effect == "gravity" for c in s.claims):
                 for fits in (certain, agreed):
