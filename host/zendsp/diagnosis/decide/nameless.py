@@ -135,6 +135,8 @@ def told_apart(
         return True
     if _hardly_varies(claim, decision, parts):
         return False
+    if _drawn_by_its_laws(claim, decision):
+        return True
     if decision.after.value < SIMULATORS_DIFFER:
         return True
     model, joint = decision.base.model, decision.joint
@@ -174,6 +176,16 @@ def _hardly_varies(claim: Claim, decision: Decision, parts: Parts) -> bool:
     drawn = [trace(rec[joint - 1], model, laws, 0.0) for rec in parts.test.records]
     torque = np.concatenate(drawn)
     return bool(np.mean(torque) ** 2 > PREDICTED * np.mean(torque**2))
+
+
+def _drawn_by_its_laws(claim: Claim, decision: Decision) -> bool:
+    """Whether laws of one mechanism, and nothing else, leave so little that a law of it might have
+    left it. What calibration had absorbed besides, no function of its variables predicts.
+    """
+    alone = all(
+        c.mechanism == claim.mechanism for c in (*decision.claims, *decision.refinements)
+    )
+    return alone and decision.after.high < LEFT_BY_A_LAW * claim.size
 
 
 def _least(mechanism: str) -> float:
