@@ -406,6 +406,29 @@ def test_a_mechanism_without_a_law_varies_with_its_variables(neutral: float, tol
 
 
 @pytest.mark.parametrize(
+    ("beside", "left", "told"),
+    [("cubic_stiffness", 0.005, True), ("coulomb", 0.005, False), ("cubic_stiffness", 0.02, False)],
+)
+def test_what_laws_of_one_mechanism_alone_draw_is_of_that_mechanism(
+    beside: str, left: float, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A gravity and a spring drew a ripple of half a wave in the travel, beside a payload, to 0.1 of
+    2.8 %, and nothing was claimed: calibration had taken so much of it that functions of the
+    position predicted nothing.
+    """
+    monkeypatch.setattr(
+        "zendsp.diagnosis.decide.nameless.structure", lambda *_: Structure(0.0, 0.0, 0.0)
+    )
+    monkeypatch.setattr("zendsp.diagnosis.decide.nameless._hardly_varies", lambda *_: False)
+    curve = replace(claim_of(term("gravity"), 0.034), effect="unknown")
+    found = of_one_claim(curve, 0.028, left)
+    more = claim_of(term(beside), 0.02)
+    found = replace(found, base=SimpleNamespace(model=None), refinements=(more,))
+    nothing: Any = SimpleNamespace(each=())
+    assert told_apart(curve, found, nothing, nothing, ()) is told
+
+
+@pytest.mark.parametrize(
     ("left", "of_state", "told"), [(0.005, 0.0, True), (0.015, 0.0, False), (0.005, 0.9, False)]
 )
 def test_a_friction_with_a_memory_is_known_by_what_its_laws_leave(

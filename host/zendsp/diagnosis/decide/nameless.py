@@ -179,13 +179,12 @@ def _hardly_varies(claim: Claim, decision: Decision, parts: Parts) -> bool:
 
 
 def _drawn_by_its_laws(claim: Claim, decision: Decision) -> bool:
-    """Whether laws of one mechanism, and nothing else, leave so little that a law of it might have
-    left it. What calibration had absorbed besides, no function of its variables predicts.
+    """Whether laws of one mechanism, and nothing else, leave so little that one law might have left
+    it, where no function of the state predicts what lacks, since calibration had taken a part.
     """
-    alone = all(
-        c.mechanism == claim.mechanism for c in (*decision.claims, *decision.refinements)
-    )
-    return alone and decision.after.high < LEFT_BY_A_LAW * claim.size
+    mechanisms = {c.mechanism for c in (*decision.claims, *decision.refinements)}
+    little = decision.after.high < LEFT_BY_A_LAW * claim.size
+    return mechanisms == {claim.mechanism} and decision.state.share < PREDICTED and little
 
 
 def _least(mechanism: str) -> float:

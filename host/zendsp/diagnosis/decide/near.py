@@ -14,6 +14,7 @@ from zendsp.diagnosis.measure.discrepancy import Size
 LEAVES_MORE = "it leaves more of what its variables predict than a law may"
 ANOTHER = "another law of its kind predicts as well"
 TWIN = "its wave and one like it of another mechanism imitate a third"
+NOT_APART = "its variables do not tell it from other mechanisms"
 NO_BETTER = "with it untouched recordings are predicted no better"
 
 
@@ -66,8 +67,8 @@ def with_reasons(
     """
     reasons: dict[str, str] = {}
     if first is not None and fell is not None:
-        more = "more is left that depends on the state than it explains"
-        reasons = dict.fromkeys((e for p in claimed for e in p.effects), more)
+        # no law was sure, and no mechanism without one
+        reasons = dict.fromkeys((e for p in claimed for e in p.effects), NOT_APART)
         reasons |= {c.term.effect: c.why for c in fell.refinements if c.why}
         reasons |= {c.term.effect: c.why or NO_BETTER for c in fell.claims}
         if len(fell.claims) > 1:
