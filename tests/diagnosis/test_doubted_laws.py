@@ -412,7 +412,7 @@ def test_a_mechanism_without_a_law_varies_with_its_variables(neutral: float, tol
 def test_what_laws_of_one_mechanism_alone_draw_is_of_that_mechanism(
     beside: str, left: float, told: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A gravity and a spring drew a ripple of half a wave in the travel, beside a payload, to 0.1 of
+    """A gravity and a spring drew a ripple of half a wave in the travel beside a payload to 0.1 of
     2.8 %, and nothing was claimed: calibration had taken so much of it that functions of the
     position predicted nothing.
     """
