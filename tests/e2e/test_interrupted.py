@@ -7,6 +7,7 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,15 +28,18 @@ COMMAND = (
 
 def _interrupted(
     *words: object, when: Callable[[], object], what: str, status: int = 130,
-    by: int = signal.SIGINT,
+    by: int = signal.SIGINT, again_s: float | None = None,
 ) -> subprocess.CompletedProcess[str]:
-    """Type a command, and Ctrl-C (or another signal) as soon as ``when`` holds."""
+    """Type a command, and Ctrl-C (or another signal) as soon as ``when`` holds; and once more."""
     process = subprocess.Popen(
         [sys.executable, "-c", COMMAND, *map(str, words)], stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True,
     )
     until(when, what)
     process.send_signal(by)
+    if again_s is not None:
+        time.sleep(again_s)
+        process.send_signal(by)
     out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == status, err
     return subprocess.CompletedProcess(words, process.returncode, out, err)
@@ -61,6 +65,20 @@ def test_ctrl_c_says_that_the_trigger_never_came(real: Target, tmp_path: Path) -
         when=lambda: real.acquire_status().state == "armed", what="it waits for its trigger",
     )  # fmt: skip
     assert "the trigger never came: e1 did not cross 99 (rising)" in done.stdout
+
+
+@pytest.mark.parametrize("again_s", [0.01, 0.03])
+def test_ctrl_c_pressed_again_does_not_lose_what_was_recorded(
+    again_s: float, real: Target, tmp_path: Path
+) -> None:
+    if real.status().state != "running":
+        real.start()
+    out = tmp_path / "run.npz"
+    _interrupted(
+        "acquire", "e1", "-s", 30, "-o", out, again_s=again_s,
+        when=lambda: real.acquire_status().state == "running", what="it records",
+    )  # fmt: skip
+    assert out.exists()
 
 
 def test_ctrl_c_says_how_the_machine_is_left(real: Target, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from zendsp.cli.progress import drawing
 from zendsp.errors import RecordingError
 
 if TYPE_CHECKING:
+    from zendsp.link import Target
     from zendsp.recording import Recording
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -101,7 +102,7 @@ def command(
         except KeyboardInterrupt as error:
             ended = "interrupted"
             try:
-                recording = t.acquire_load(note)
+                recording = _kept(t, note)
             except AcquisitionError:
                 raise error from None
         late = late_since(before, t.status().timing)
@@ -130,6 +131,14 @@ def command(
         raise click.exceptions.Exit(1)
     if wrong or not drawn:
         raise click.exceptions.Exit(1)
+
+
+def _kept(target: Target, note: str) -> Recording:
+    """What was recorded until Ctrl-C. Pressed again, it ends neither this nor the saving."""
+    from zendsp.here.uninterrupted import uninterrupted
+
+    click.get_current_context().with_resource(uninterrupted())
+    return target.acquire_load(note)
 
 
 def _saved(

@@ -82,8 +82,8 @@ def one_way(pusher: Pusher, name: str, tried: Steps, stood: Recording) -> float:
     raise Unmeasured(
         f"something holds joint {axis.number} up at {place:.3g} {unit}, within its range of"
         f" {axis.low:.3g} to {axis.high:.3g}: by {most:.3g} {force} it does not move, and the other"
-        f" way it goes by {torque:.3g}. No more was tried. Take away what it touches, or let the"
-        " machine declare the range that it has"
+        f" way it goes by {torque:.3g} {force}. No more was tried. Take away what it touches, or"
+        " let the machine declare the range that it has"
     )
 
 
