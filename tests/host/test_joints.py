@@ -55,6 +55,12 @@ def test_a_position_that_nothing_knows_is_not_told() -> None:
     assert joint.row()[1:4] == ("unknown", "-1 … 3", "–")
 
 
+def test_a_command_that_nothing_sends_is_not_told() -> None:
+    """After a crash it was "nan mV"."""
+    crashed = m.Status(state=ProgramState.CRASHED, io={"enc": status().io["enc"]}, homed=True)
+    assert joints_of(crashed, (AXIS, SLIDE), LIMITS)[0].row()[4] == "none"
+
+
 def test_a_command_of_speed_is_told_in_what_goes_out() -> None:
     joint = joints_of(status(DriveMode.VELOCITY), (AXIS, SLIDE), LIMITS)[0]
     assert (joint.command, joint.command_unit, joint.command_max) == (-2500.0, "mV", 8000.0)

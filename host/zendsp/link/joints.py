@@ -23,7 +23,7 @@ class Joint:
     position_min: float
     position_max: float
     speed_max: float  # unit/s
-    command: float  # that goes out, in command_unit
+    command: float  # that goes out, in command_unit; NaN where none does
     command_max: float
     command_unit: str  # N m or N; mV where the drive takes a voltage, or holds a speed
 
@@ -33,10 +33,13 @@ class Joint:
         """
         inside = f"{self.position_min:g} … {self.position_max:g}"
         stands = f"{self.position:z.4f} {self.unit}" if math.isfinite(self.position) else "unknown"
+        going_out = "none"  # after a crash no program's command acts
+        if math.isfinite(self.command):
+            going_out = f"{self.command:z.4g} {self.command_unit}"
         return (
             self.name, stands, inside,
             percent(share_of_range(self.position, self.position_min, self.position_max)),
-            f"{self.command:z.4g} {self.command_unit}", f"{self.command_max:g}",
+            going_out, f"{self.command_max:g}",
             percent(abs(self.command) / self.command_max if self.command_max > 0.0 else math.nan),
             f"{self.speed_max:g} {self.unit}/s",
         )  # fmt: skip
