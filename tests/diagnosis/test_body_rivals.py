@@ -190,6 +190,29 @@ def test_a_body_that_explains_as_much_as_a_joints_own_fault_is_remembered(
     assert any(bodies._is_body(e, first[0], LIMITS) for e in first) is remembered
 
 
+@pytest.mark.parametrize(("place", "remembered"), [(1e-4, False), (0.2, True)])
+def test_a_body_at_its_joints_axis_is_no_more_than_an_inertia_of_the_joint_before(
+    place: float, remembered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A payload of 2.46 kg, 0.09 ± 0.02 mm from the elbow, stood for a rotor (97 %)."""
+    rotor = replace(
+        explained(1, "amount", cost=1.0, behind=0.0),
+        hypothesis=Hypothesis("inertia", 1, "", ("amount",), 1.0),
+    )
+    load = replace(
+        explained(2, "mass", "com_x", cost=2.0, behind=0.1),
+        hypothesis=Hypothesis("payload", 2, "", ("mass", "com_x"), 2.0),
+        values=np.array([2.46, place]), std=np.array([0.01, 2e-5]),
+    )  # fmt: skip
+    rounds = iter([[rotor, load], [replace(rotor, gain=0.0, z=0.0)]])
+    monkeypatch.setattr(bodies, "hypotheses", lambda *_: [])
+    monkeypatch.setattr(bodies, "Solver", lambda *_, **__: None)
+    monkeypatch.setattr(bodies, "explain", lambda *_: next(rounds))
+    layout: Any = SimpleNamespace(model=None, links=None)
+    _, aside, first = bodies._round(None, None, layout, LIMITS)  # type: ignore[arg-type]
+    assert aside == {1} and bool(first) is remembered
+
+
 @pytest.mark.parametrize(
     ("mechanism", "effect", "weighs"),
     [

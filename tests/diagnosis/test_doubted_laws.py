@@ -443,6 +443,7 @@ def test_a_friction_with_a_memory_is_known_by_what_its_laws_leave(
     )
     claim = replace(claim_of(term("presliding"), 0.059), effect="unknown")
     found = of_one_claim(claim, 0.048, left)
+    found = replace(found, refinements=(claim_of(term("viscous"), 0.001),))
     found = replace(found, base=SimpleNamespace(model=None), state=Structure(0.04, of_state, 5.0))
     nothing: Any = SimpleNamespace(each=())
     assert told_apart(claim, found, nothing, nothing, ()) is told

@@ -279,7 +279,7 @@ def _homed(
 
 
 def _of_zeros(homed: Model, angles: Mapping[int, tuple[float, float]]) -> str:
-    # four of a simulated arm were 0.5 mrad off, four times the scatter of their blocks
+    # four of a simulated arm were 0.5 to 0.7 mrad off, up to four times the scatter of their blocks
     said = (
         f"joint {joint} is {number(Estimate(angle, math.hypot(std, INTEGRATION_ERROR), 'rad'))}"
         " farther along than recorded"

@@ -77,13 +77,17 @@ def one_way(pusher: Pusher, name: str, tried: Steps, stood: Recording) -> float:
     may = ONE_WAY * max(broke, axis.level) + unsure - kept
     if tried.enough < may:
         return may
-    unit, force = axis.unit, axis.force
-    most = float(_ends(stood, axis)[-1][0])
-    raise Unmeasured(
+    force, most = axis.force, float(_ends(stood, axis)[-1][0])
+    how = f"by {most:.3g} {force} it does not move, and the other way it goes by {torque:.3g}"
+    raise _held_up(axis, place, f"{how} {force}")
+
+
+def _held_up(axis: Axis, place: float, how: str) -> Unmeasured:
+    unit = axis.unit
+    return Unmeasured(
         f"something holds joint {axis.number} up at {place:.3g} {unit}, within its range of"
-        f" {axis.low:.3g} to {axis.high:.3g}: by {most:.3g} {force} it does not move, and the other"
-        f" way it goes by {torque:.3g} {force}. No more was tried. Take away what it touches, or"
-        " let the machine declare the range that it has"
+        f" {axis.low:.3g} to {axis.high:.3g}: {how}. No more was tried. Take away what it touches,"
+        " or let the machine declare the range that it has"
     )
 
 
@@ -129,12 +133,8 @@ def refuse_held_up(rec: Recording, axis: Axis, direction: int) -> None:
     last = way[2 * len(way) // 3 :]
     if went(rec, axis) and way[-1] > 0.0 and np.ptp(last) < STOOD * way[-1]:
         most, unit = abs(float(rec["torque"][rows[-1]])), axis.unit
-        raise Unmeasured(
-            f"something holds joint {axis.number} up at {q[-1]:.3g} {unit}, within its range of"
-            f" {axis.low:.3g} to {axis.high:.3g}: it broke away, went {way[-1]:.2g} {unit}, and"
-            f" stands there under up to {most:.3g} {axis.force}. No more was tried. Take away what"
-            " it touches, or let the machine declare the range that it has"
-        )
+        how = f"it broke away, went {way[-1]:.2g} {unit}, and stands there under up to {most:.3g}"
+        raise _held_up(axis, float(q[-1]), f"{how} {axis.force}")
 
 
 def pushed_way(

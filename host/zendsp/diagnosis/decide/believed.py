@@ -60,14 +60,18 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     likely, alone, ahead, fell = _standing(likely, decision, parts, given, jobs)
     first = _may_lack_a_law(ahead, decision, parts)
     others = [c for c in decision.claims if c is not first and id(c) in fell]
+    lawless = False
     if first is not None and others:  # they may stand beside its mechanism
         more = [replace(first, effect="unknown"), *likely, *others]
         beside = _standing(more, decision, parts, given, jobs)
         laws = {c.effect for c in beside[0] if c.effect != "unknown"}
-        if laws and told_apart(first, decision, parts, given, laws):
+        lawless = bool(laws) and told_apart(first, decision, parts, given, laws)
+        if lawless:
             own = {key: why for key, why in fell.items() if key == id(first)}
             likely, alone, ahead, fell = *beside[:3], {**own, **beside[3]}
     laws = {c.effect for c in likely if c.effect != "unknown"}
+    if first is not None and not lawless:
+        lawless = told_apart(first, decision, parts, given, laws - {first.effect})
     most = _beside_doubted(likely, fell, alone, decision, parts, given, jobs)
     keep, more = [], list(decision.refinements)
     doubted: set[str] = set()  # mechanisms: a law beside a doubted one may be a part of it
@@ -80,9 +84,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
                 keep.append(without_law(claim, decision))
         elif claim.mechanism not in doubted and key in ahead:
             keep.append(replace(claim, ahead=ahead[key], most=most.get(key, 1.0)))
-        elif claim is first and told_apart(
-            claim, decision, parts, given, laws - {claim.effect}
-        ):
+        elif claim is first and lawless:
             keep.append(replace(without_law(claim, decision), why=why))
             doubted.add(claim.mechanism)
         else:

@@ -63,10 +63,8 @@ def _may_be_weight(claim: Claim, decision: Decision, test: Data) -> bool:
         return True
     if claim.mechanism != "position_torque":
         return False
-    terms = [claim.term]
-    if claim.effect == "unknown":  # a curve, of all laws that draw it
-        terms += [c.term for c in decision.refinements if c.mechanism == claim.mechanism]
-    laws = tuple(t for t in terms if t.effect != "unknown")
+    # a curve, of all laws that draw it
+    laws = decision.drawn_by(claim) if claim.effect == "unknown" else (claim.term,)
     if not laws:
         return True
     return _drawn_by_bodies(laws, decision.final.model, decision.joint, test) > DRAWN

@@ -151,6 +151,13 @@ class Decision:
     searched: bool = True  # not where the search was ended before this joint
     given_up: Decision | None = None  # what was claimed before the whole machine spoke against it
 
+    def drawn_by(self, claim: Claim) -> tuple[Term, ...]:
+        """The laws that draw a claim in the improved model: its own, where it has one, and the
+        refinements of its mechanism.
+        """
+        more = (c.term for c in self.refinements if c.mechanism == claim.mechanism)
+        return tuple(t for t in (claim.term, *more) if t.effect != "unknown")
+
 
 WORSE = "with it the whole machine predicts untouched recordings worse"
 

@@ -155,21 +155,16 @@ def _has_memory(claim: Claim, decision: Decision) -> bool:
     """Whether no function of the state predicts the missing torque, and the mechanism's laws do,
     the first of which has states of its own, as bristles have: what they leave tells the mechanism.
     """
-    law, left = claim.term.effect, LEFT_BY_A_LAW * claim.size
+    law = claim.term.effect
     remembers = law != "unknown" and get_effect(law).hidden
-    return remembers and decision.state.share < PREDICTED and decision.after.high < left
+    return remembers and _only_laws_explain(claim, decision)
 
 
 def _hardly_varies(claim: Claim, decision: Decision, parts: Parts) -> bool:
     """Whether the laws that draw a mechanism draw mostly a constant, of which no one knows on what
     it depends.
     """
-    patches = [c.term for c in decision.refinements if c.mechanism == claim.mechanism]
-    laws = tuple(
-        t
-        for t in (claim.term, *patches)
-        if t.effect != "unknown" and not get_effect(t.effect).hidden
-    )
+    laws = tuple(t for t in decision.drawn_by(claim) if not get_effect(t.effect).hidden)
     if not laws:
         return False
     model, joint = decision.final.model, decision.joint
@@ -179,12 +174,19 @@ def _hardly_varies(claim: Claim, decision: Decision, parts: Parts) -> bool:
 
 
 def _drawn_by_its_laws(claim: Claim, decision: Decision) -> bool:
-    """Whether laws of one mechanism, and nothing else, leave so little that one law might have left
-    it, where no function of the state predicts what lacks, since calibration had taken a part.
+    """Whether laws of one mechanism, and nothing else, explain what no function of the state
+    predicts, since calibration had taken a part of it.
     """
     mechanisms = {c.mechanism for c in (*decision.claims, *decision.refinements)}
-    little = decision.after.high < LEFT_BY_A_LAW * claim.size
-    return mechanisms == {claim.mechanism} and decision.state.share < PREDICTED and little
+    return mechanisms == {claim.mechanism} and _only_laws_explain(claim, decision)
+
+
+def _only_laws_explain(claim: Claim, decision: Decision) -> bool:
+    """Whether no function of the state predicts what lacks, and the laws surely leave no more of it
+    than one law may.
+    """
+    left = LEFT_BY_A_LAW * claim.size
+    return decision.state.share < PREDICTED and decision.after.high < left
 
 
 def _least(mechanism: str) -> float:

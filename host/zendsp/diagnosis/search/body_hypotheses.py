@@ -43,7 +43,9 @@ class BodyLimits:
     little: float = 0.03
     least: float = 0.01  # of some joint's RMS torque: smaller bodies are not looked for
     bodies: int = 3  # most wrong bodies of a machine
-    same: float = 0.02  # m from a link's centre of mass: a nearer body is the link's own mass
+    # m from a link's centre of mass: a nearer body is the link's own mass; from its joint's axis: a
+    # nearer one may be an inertia of the joint before
+    same: float = 0.02
     own_mass: float = 0.5  # of a link's mass: a larger error is a payload
     shown: float = 2.0  # standard deviations: a mass gets a surer inertia of its own
     spread: float = 0.3  # m: no payload's radius of gyration is larger
