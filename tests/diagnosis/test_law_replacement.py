@@ -18,7 +18,7 @@ from zendsp.diagnosis.decide.contract import Reason
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.explain import joints, one_joint
 from zendsp.diagnosis.measure.structure import Structure
-from zendsp.diagnosis.search import simplify
+from zendsp.diagnosis.search import simpler_laws, simplify
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
@@ -104,9 +104,9 @@ def test_one_spring_replaces_two_laws_where_it_gains_nearly_as_much(
         make_term(get_effect("cubic_stiffness"), 1, {"coefficient": 0.006, "neutral": 0.0}),
         make_term(get_effect("torque_offset"), 1, {"level": -0.003}),
     )
-    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model))
+    monkeypatch.setattr(simpler_laws, "refitted", lambda data, model, *_: scored(model))
     found: Any = SimpleNamespace(joint=1, base=scored(bare))
-    best = simplify._as_spring(found, scored(bare.with_terms(two)), 1)
+    best = simpler_laws._as_spring(found, scored(bare.with_terms(two)), 1)
     assert {t.effect for t in best.model.terms} == kept
 
 
@@ -119,7 +119,7 @@ def test_a_gain_beside_which_simulators_may_differ_by_the_inertia_is_no_payload(
     """More inertia and a weaker drive are a payload, but any gain is a heavier body exactly."""
     record = SimpleNamespace(n=11)
     data = SimpleNamespace(records=[[record]])
-    monkeypatch.setattr(simplify, "facts", lambda _: SimpleNamespace(inertia=0.0186))
+    monkeypatch.setattr(simpler_laws, "facts", lambda _: SimpleNamespace(inertia=0.0186))
 
     def scored(model: Model) -> Any:  # all but the gain alone explain as much
         alone = {t.effect for t in model.terms} == {"torque_gain"}
@@ -131,9 +131,9 @@ def test_a_gain_beside_which_simulators_may_differ_by_the_inertia_is_no_payload(
         make_term(get_effect("torque_gain"), 1, {"ratio": -0.07}),
         make_term(get_effect("inertia"), 1, {"amount": amount}),
     )
-    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model))
+    monkeypatch.setattr(simpler_laws, "refitted", lambda data, model, *_: scored(model))
     found: Any = SimpleNamespace(joint=1, base=scored(bare))
-    best = simplify._as_payload(found, scored(bare.with_terms(two)), 1000, 1)
+    best = simpler_laws._as_payload(found, scored(bare.with_terms(two)), 1000, 1)
     assert {t.effect for t in best.model.terms} == kept
 
 
@@ -146,7 +146,7 @@ def test_a_weaker_drive_with_less_of_every_friction_is_a_payload(
 ) -> None:
     """A payload of 0.15 kg on a pendulum had been a gain, a gravity and two other frictions."""
     data = SimpleNamespace(records=[[SimpleNamespace(n=11)]])
-    monkeypatch.setattr(simplify, "facts", lambda _: SimpleNamespace(inertia=0.02))
+    monkeypatch.setattr(simpler_laws, "facts", lambda _: SimpleNamespace(inertia=0.02))
 
     def scored(model: Model) -> Any:
         worse = any(t.effect == "inertia" for t in model.terms) and not scaled
@@ -161,8 +161,8 @@ def test_a_weaker_drive_with_less_of_every_friction_is_a_payload(
         make_term(get_effect("torque_gain"), 1, {"ratio": -1 / 3}),
         make_term(get_effect("gravity"), 1, {"torque": 0.1, "angle": 0.0}),
     )
-    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model))
-    best = simplify._as_inertia(found, scored(given.with_terms(terms)), 1000, 1)
+    monkeypatch.setattr(simpler_laws, "refitted", lambda data, model, *_: scored(model))
+    best = simpler_laws._as_inertia(found, scored(given.with_terms(terms)), 1000, 1)
     assert {t.effect for t in best.model.terms} == kept
     if scaled:
         values = {t.effect: next(iter(t.parameters.values())).value for t in best.model.terms}
@@ -187,7 +187,7 @@ def test_an_exponent_is_not_fitted_to_one_moment_in_which_the_model_loses_track(
         fit = SimpleNamespace(handles=(), at_bound=())
         return SimpleNamespace(model=model, data=None, deviance=deviance, fit=fit)
 
-    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model, -300.0))
+    monkeypatch.setattr(simplify, "refitted", lambda data, model, *_: scored(model, -300.0))
     monkeypatch.setattr(simplify, "compare", lambda *_: SimpleNamespace(gain=of_a_block))
     found: Any = SimpleNamespace(joint=1, base=scored(bare, 0.0))
     (term,) = simplify._released(found, scored(bare.with_terms((law,)), 0.0), 40000, 1).model.terms

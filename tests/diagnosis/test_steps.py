@@ -23,7 +23,7 @@ from zendsp.diagnosis.measure.likelihood import (
     fit_scored,
     informative,
 )
-from zendsp.diagnosis.search import backlash, forward
+from zendsp.diagnosis.search import backlash, forward, simpler_laws
 from zendsp.diagnosis.search import simplify as simplification
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.forward import Searcher
@@ -440,7 +440,7 @@ def test_two_laws_of_timing_that_together_are_one_delay_are_called_that(
         Step(Rival(t.effect, 1, scored, 10.0, (t,), ()), (), calibrated) for t in split.at(1)[2:]
     ]
     found = JointSearch(1, calibrated, steps, scored)
-    one = simplification._as_one_time(found, scored, 1)
+    one = simpler_laws._as_one_time(found, scored, 1)
     best, _ = simplify(found, informative(calibrated.data, 1), 1)
     for model in (one.model, best.model):
         assert [t.effect for t in model.at(1)] == ["viscous", "coulomb", *left]
@@ -471,7 +471,7 @@ def test_a_search_upon_more_terms_is_fitted_to_its_end(monkeypatch: pytest.Monke
     def scored(deviance: float) -> Any:
         return SimpleNamespace(deviance=deviance, model=model, data=None)
 
-    monkeypatch.setattr(simplification, "_refitted", lambda *_: scored(fits.pop(0)))
+    monkeypatch.setattr(simplification, "refitted", lambda *_: scored(fits.pop(0)))
     monkeypatch.setattr(simplification, "informative", lambda *_: 100)
     monkeypatch.setattr(simplification, "simplify", lambda search, *_: (search.best, ()))
     again = simplification.upon(JointSearch(1, scored(0.0)), scored(-10.0), 1)
@@ -496,5 +496,5 @@ def test_a_delay_stands_in_place_of_a_filter_that_only_its_noise_prefers(
         joint=1, base=SimpleNamespace(model=model_of(VISCOUS), deviance=0.0)
     )
     other: Any = SimpleNamespace(deviance=-2500.0 + worse)
-    monkeypatch.setattr(simplification, "_refitted", lambda *_: other)
-    assert simplification._as_delay(found, best, 1) is (other if late else best)
+    monkeypatch.setattr(simpler_laws, "refitted", lambda *_: other)
+    assert simpler_laws._as_delay(found, best, 1) is (other if late else best)

@@ -29,7 +29,7 @@ from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, Rival, price
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.short_fits import WAIT
-from zendsp.diagnosis.search.simplify import COLOURED
+from zendsp.diagnosis.search.simpler_laws import COLOURED
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import off_counts
 from zendsp.physics.effects import get_effect, library, mechanism_of

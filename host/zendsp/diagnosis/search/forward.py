@@ -26,7 +26,8 @@ from zendsp.diagnosis.search.hypothesis import (
 )
 from zendsp.diagnosis.search.rounds import GLANCE, WORTH, Rounds
 from zendsp.diagnosis.search.short_fits import SETTLED, WAIT
-from zendsp.diagnosis.search.simplify import simplify, split_asymmetry, straightened
+from zendsp.diagnosis.search.simpler_laws import split_asymmetry, straightened
+from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import effective_inertia
 from zendsp.physics.calibration.predict import run

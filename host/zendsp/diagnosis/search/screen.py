@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.fit import Data, Fit
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.joint import JointRecord, along, effective_inertia, facts
-from zendsp.physics.calibration.observed import damping_along, response, sensed, trace
+from zendsp.physics.calibration.observed import damping_along, response, sensed, trace, traces
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.effects.base import Parameter
@@ -138,40 +138,47 @@ class Screen:
         parts = []
         for i, rec in enumerate(self.records):
             torques = np.empty((len(columns), rec.n))
-            for row, terms in zip(torques, columns, strict=True):
-                follows = 1.0 if on_sensor else self.free[i]
-                np.multiply(self._torque(i, terms, alone), follows, out=row)
+            follows = 1.0 if on_sensor else self.free[i]
+            for row, torque in zip(torques, self._torques(i, columns, alone), strict=True):
+                np.multiply(torque, follows, out=row)
             parts.append(self._respond(i, torques, on_sensor=on_sensor))
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def _torque(self, i: int, terms: tuple[Term, ...], alone: bool) -> Array:
-        """The torque with which added terms resist along the measured motion, (n,); for effects on
-        the sensor, the position that they add.
+    def _torques(
+        self, i: int, columns: Sequence[tuple[Term, ...]], alone: bool
+    ) -> Iterable[Array]:
+        """The torques with which added terms of one effect resist along the measured motion, (n,)
+        each; for effects on the sensor, the positions that they add.
         """
-        effect, rec, floor = get_effect(terms[0].effect), self.records[i], self.floors[i]
-        if effect.column is not None:
-            return np.asarray(
-                effect.column(self.motions[i], {n: q.value for n, q in terms[0].parameters.items()})
-            )
+        effect, rec, floor = get_effect(columns[0][0].effect), self.records[i], self.floors[i]
+        if (column := effect.column) is not None:
+            motion = self.motions[i]
+            numbers = ({n: q.value for n, q in t.parameters.items()} for (t, *_) in columns)
+            return (np.asarray(column(motion, values)) for values in numbers)
         if effect.at_sensor:
-            return -sensed(rec, terms)
+            return (-sensed(rec, terms) for terms in columns)
         if alone or (not self.scaled and effect.site in ADDED):
-            return self._alone(rec, terms, floor)
-        together = (*self.model.at(self.joint), *terms)
-        return np.asarray(trace(rec, self.model, together, floor) - self.base[i])
+            return self._alone(rec, columns, floor)
+        known = self.model.at(self.joint)
+        return traces(rec, self.model, [(*known, *t) for t in columns], floor) - self.base[i]
 
-    def _alone(self, rec: JointRecord, terms: tuple[Term, ...], floor: float) -> Array:
-        """The trace of added terms, computed once per recording, since nothing else of the model
-        enters.
+    def _alone(
+        self, rec: JointRecord, columns: Sequence[tuple[Term, ...]], floor: float
+    ) -> list[Array]:
+        """The traces of added terms, each computed once per recording, since nothing else of the
+        model enters.
         """
         gain = per_joint(self.model.actuator.gain, self.joint, 1.0)
-        key = (floor, gain, *((t.effect, *t.parameters.items()) for t in terms))
-        found = rec.traces.get(key)
-        if found is None:
-            found = trace(rec, self.model, terms, floor)
-            if len(rec.traces) * found.nbytes < REMEMBERED:
-                rec.traces[key] = found
-        return found
+        keys = [(floor, gain, *((t.effect, *t.parameters.items()) for t in c)) for c in columns]
+        known = {key: rec.traces[key] for key in keys if key in rec.traces}
+        wanted = {k: terms for k, terms in zip(keys, columns, strict=True) if k not in known}
+        if wanted:
+            made = traces(rec, self.model, list(wanted.values()), floor)
+            for key, torque in zip(wanted, made, strict=True):
+                known[key] = torque
+                if len(rec.traces) * torque.nbytes < REMEMBERED:
+                    rec.traces[key] = torque.copy()  # not a view that holds all
+        return [known[key] for key in keys]
 
     def _respond(self, i: int, columns: Array, *, on_sensor: bool = False) -> Array:
         rec = self.records[i]

@@ -4,6 +4,7 @@ sensor, and what an observer makes of either to first order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,20 +24,30 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
     """Resisting torque of some effects along the measured motion, (n,); dry friction smoothed over
     ``speed_floor`` rad/s.
     """
+    torque: Array = traces(record, model, [terms], speed_floor)[0]
+    return torque
+
+
+def traces(
+    record: JointRecord, model: Model, several: Sequence[tuple[Term, ...]], speed_floor: float
+) -> Array:
+    """The traces of several sets of effects, (sets, n)."""
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi
-    kinds, table = pack(terms)
     m = ffi.new("zk_model *")
     m.n, m.T, m.t0 = n, record.sample_time, record.began
     m.gain, m.limit = per_joint(model.actuator.gain, record.joint, 1.0), 0.0
-    m.other, m.nfx, m.temperature = p(record.others), len(own_terms(terms)), p(felt(record, terms))
-    m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    m.other = p(record.others)
     inertia, bias = record.inertia_and_bias(model)
     inertia = inertia + added_inertia(model, record.joint)
     fill_rigid(m, record, model, inertia, bias)
-    motion = np.ascontiguousarray(record.motion.states)
-    out = np.empty(n)
-    lib.lib.zk_trace(m, p(motion), p(record.command), speed_floor, p(out))
+    motion, command = p(np.ascontiguousarray(record.motion.states)), p(record.command)
+    out = np.empty((len(several), n))
+    for row, terms in zip(out, several, strict=True):
+        kinds, table = pack(terms)
+        m.nfx, m.temperature = len(own_terms(terms)), p(felt(record, terms))
+        m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+        lib.lib.zk_trace(m, motion, command, speed_floor, p(row))
     return out
 
 
