@@ -205,3 +205,8 @@ def not_likelier(gain: float, least: float) -> str:
         f"hardly more likely than the calibrated model: log-likelihood {gain:+.0f}, and"
         f" {least:+.0f} at least is asked for"
     )
+
+
+def shared(others: int) -> float:
+    """The highest confidence of a claim beside so many ``others`` that explain as well."""
+    return 0.5 + 0.5 / (1 + others)

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Claim, Decision, needed
+from zendsp.diagnosis.decide.claims import Claim, Decision, needed, shared
 from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import Further, Rejected
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number, percent
@@ -184,7 +184,7 @@ def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float)
     """The claim of a body; ``ratio`` says how much larger it is than what stays unexplained."""
     sure = sure_by(ratio, 1.0)
     if found.indistinguishable:
-        sure *= _shared(len(found.indistinguishable))
+        sure *= shared(len(found.indistinguishable))
     sizes = {joint: h.size for joint, h in heard.items()}
     return BodyClaim(found, sizes, gain, max(0.05, sure))
 
@@ -209,15 +209,10 @@ def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decisio
         names = dict.fromkeys(
             e.hypothesis.effect for e in bodies if own and all(tied(e, o) for o in own)
         )
-        most = min(c.most, _shared(len(names)))
+        most = min(c.most, shared(len(names)))
         return replace(c, same=tuple(dict.fromkeys((*c.same, *names))), most=most)
 
     return [replace(d, claims=tuple(told(c, d.joint) for c in d.claims)) for d in decisions]
-
-
-def _shared(others: int) -> float:
-    """The highest confidence of a claim beside so many ``others`` that explain as well."""
-    return 0.5 + 0.5 / (1 + others)
 
 
 def feels(found: FoundBody, joint: int, links: Links | None) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Piece
+from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Piece, shared
 from zendsp.diagnosis.decide.contract import Rejected
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.law_torque import kind_of
@@ -20,6 +20,7 @@ from zendsp.diagnosis.decide.thresholds import (
     INSEPARABLE,
     LAW_ERROR,
     STATED_LAW,
+    STEPPED,
     TIED,
 )
 from zendsp.diagnosis.measure.discrepancy import difference, discrepancy
@@ -74,17 +75,12 @@ def law_of(
     other = [r.effect != term.effect for r in every]
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
     weights = _weights(scores)
-    after = discrepancy(parts.choose, final.model, joint).value
-    same, lost = [], []
+    same, lost, late = [], [], 0
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
-        # any law may be wrong by as much, so a law of another mechanism may be the true one
-        own = mechanism_of(rival.effect) == piece.mechanism
-        least = after if own else max(after, LAW_ERROR * first.size)
-        near = (
-            behind < INSEPARABLE * first.evidence.gain
-            and difference(parts.choose, rival.scored.model, final.model, joint) < least
-        )
+        stepped = _by_other_steps(parts, final, piece, first, rival, behind)
+        late += stepped
+        near = stepped or _near(parts, final, piece, first, rival, behind)
         near |= _late_alike(parts, given, term, rival.effect, behind, first.evidence.gain)
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
@@ -96,7 +92,7 @@ def law_of(
                 else "does not explain the mismatch"
             )
             lost.append(Rejected(rival.effect, joint, why, -0.5 * behind))
-    if _ripples(parts, rounds, final, piece, first, after):
+    if _ripples(parts, rounds, final, piece, first):
         same.append("ripple")
     same += sums(term.effect, joint, final.model)
     laws = _shared([term.effect, *[r.effect for r in rivals]], weights, piece.mechanism)
@@ -113,11 +109,40 @@ def law_of(
         gone,
         tuple(lost[:6]),
         instead=instead,
+        most=shared(late),
     )
 
 
+def _near(
+    parts: Parts, final: Scored, piece: Piece, first: Piece, rival: Rival, behind: float
+) -> bool:
+    """Whether a rival's torque differs from that of a law by less than what stays unexplained; that
+    of another mechanism by less than any law may be wrong, so that it may be the true one.
+    """
+    least = discrepancy(parts.choose, final.model, rival.joint).value
+    if mechanism_of(rival.effect) != piece.mechanism:
+        least = max(least, LAW_ERROR * first.size)
+    apart = difference(parts.choose, rival.scored.model, final.model, rival.joint)
+    return behind < INSEPARABLE * first.evidence.gain and apart < least
+
+
+def _by_other_steps(
+    parts: Parts, final: Scored, piece: Piece, first: Piece, rival: Rival, behind: float
+) -> bool:
+    """Whether a law that makes something late and a rival of another mechanism, which is not the
+    same by algebra, differ by no more than simulators with other steps.
+    """
+    law, other = get_effect(first.terms[0].effect), get_effect(rival.effect)
+    if mechanism_of(other.name) == piece.mechanism or {law.family, other.family} != {"timing"}:
+        return False
+    if other.name in law.aliases or law.name in other.aliases:
+        return False
+    apart = difference(parts.choose, rival.scored.model, final.model, rival.joint)
+    return behind < INSEPARABLE * first.evidence.gain and apart < STEPPED
+
+
 def _ripples(
-    parts: Parts, rounds: Rounds, final: Scored, piece: Piece, first: Piece, after: float
+    parts: Parts, rounds: Rounds, final: Scored, piece: Piece, first: Piece
 ) -> bool:
     """Whether a ripple with too few periods in the travel to be searched for is the same to these
     recordings as a law over the position that is no wave.
@@ -130,6 +155,7 @@ def _ripples(
         return False
     joint = term.joint
     scores = _scores(parts, joint, final, term, [rival])
+    after = discrepancy(parts.choose, final.model, joint).value
     close = difference(parts.choose, rival.scored.model, final.model, joint) < after
     behind = float(scores[1].sum() - scores[0].sum())
     return bool(_weights(scores)[1] > TIED) or (

@@ -15,9 +15,10 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.other_load import other_load
 from zendsp.diagnosis.decide.pushes import unpushed
+from zendsp.diagnosis.decide.thresholds import LAWFUL
 from zendsp.diagnosis.explain.machine import Found, find_once, kept
 from zendsp.diagnosis.measure.bursts import everywhere
-from zendsp.diagnosis.measure.discrepancy import beyond
+from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.calibration.fit import Data
@@ -119,10 +120,21 @@ def _beside_pushes(pushed: Found, found: Found) -> Found:
     every = (pushed.parts.fit, pushed.parts.held)
     decisions = []
     for first, again in zip(pushed.decisions, found.decisions, strict=True):
-        if first.bursts is not None:
+        if first.bursts is not None and not _explained(first, again, every):
             kind = Verdict.DISTURBANCE if again.kind == Verdict.COMPLETE else again.kind
             beside = everywhere(first.bursts, every, again.final.model, again.joint)
             bursts = beside if beside.intervals else first.bursts
             again = replace(again, kind=kind, bursts=bursts)
         decisions.append(again)
     return replace(found, decisions=decisions, parts=pushed.parts)
+
+
+def _explained(pushed: Decision, again: Decision, every: Sequence[Data]) -> bool:
+    """Whether what was found without the pushes leaves nothing of them: a friction that drifts in
+    the first seconds seems to push, beside a drive that is late, and is found in the rest.
+    """
+    assert pushed.bursts is not None
+    model, joint = again.final.model, again.joint
+    left = max(discrepancy(part, model, joint).value for part in every)
+    found = again.kind is Verdict.MISSING and beyond(left, again.known.all) < LAWFUL
+    return found and not everywhere(pushed.bursts, every, model, joint).intervals
