@@ -14,7 +14,7 @@ from made_claims import claim_of, of_one_claim
 from small_models import VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import engine
-from zendsp.diagnosis.decide import absorbed, believed, patchwork, pushes
+from zendsp.diagnosis.decide import absorbed, believed, patchwork, pushes, rivals
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
@@ -355,6 +355,29 @@ def test_beside_the_stated_counts_a_delay_and_a_filter_of_the_position_are_not_t
     given: Any = SimpleNamespace(sensor=sensor)
     late = term("delay", time=0.0034)
     assert _late_alike(parts, given, late, rival, behind, 4080.0) is alike
+
+
+@pytest.mark.parametrize(
+    ("rival", "apart", "alike"),
+    [("lag", 0.0012, True), ("lag", 0.0065, False), ("saturation", 0.0012, False),
+     ("column_shift", 0.0012, False)],
+)  # fmt: skip
+def test_what_comes_late_is_told_apart_only_by_more_than_other_steps_of_a_simulator(
+    rival: str, apart: float, alike: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drive's lag of 5 ms was a filter of the position (94 %, "cannot be told from": nothing):
+    their torques differ by 0.12 %, where another integration differs by as much.
+    """
+    monkeypatch.setattr(rivals, "difference", lambda *_: apart)
+    parts: Any = SimpleNamespace(choose=None)
+    final: Any = SimpleNamespace(model=None)
+    piece: Any = SimpleNamespace(mechanism="measurement")
+    law: Any = SimpleNamespace(
+        terms=(term("position_filter", time_constant=0.005),), evidence=SimpleNamespace(gain=7390.0)
+    )
+    other: Any = SimpleNamespace(effect=rival, joint=1, scored=final)
+    assert rivals._by_other_steps(parts, final, piece, law, other, 74.0) is alike
+    assert not rivals._by_other_steps(parts, final, piece, law, other, 4000.0)  # far less likely
 
 
 @pytest.mark.parametrize(("sine", "behind"), [(0.0, True), (0.06, True), (0.0928, False)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ from reality import KNOWN
 from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.decide import decide, nothing_named, pushes
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.naming import _disturbance, at_once
 from zendsp.diagnosis.explain import undisturbed
 from zendsp.diagnosis.measure.bursts import Bursts
@@ -97,6 +99,44 @@ def test_where_cutting_out_all_pushes_leaves_too_little_only_the_largest_is_cut_
     assert passes == ["all", undisturbed.Parts(["fit"], ["choose"], ["test"])]  # type: ignore[arg-type]
     # whole recordings of one sensor: by the test recording alone, its counts were a torque of 5 %
     assert alike == [signals]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What a pass over the recordings found: of one joint, and of all."""
+
+    bursts: Bursts | None = None
+    kind: Verdict = Verdict.MISSING
+    decisions: tuple[Any, ...] = ()
+    parts: Any = None
+    joint: int = 1
+    final: Any = None
+    known: Any = None
+
+
+@pytest.mark.parametrize(
+    ("left", "spans", "kind", "pushed"),
+    [(0.001, (), Verdict.MISSING, False), (0.03, (), Verdict.MISSING, True),
+     (0.001, ((0.4, 5.3),), Verdict.MISSING, True), (0.001, (), Verdict.COMPLETE, True)],
+)  # fmt: skip
+def test_what_was_found_without_the_pushes_and_leaves_nothing_of_them_leaves_no_push(
+    left: float,
+    spans: tuple[tuple[float, float], ...],
+    kind: Verdict,
+    pushed: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A friction that drifted in the first seconds, beside a late drive, had been a disturbance
+    (85 %), although the drift was found in the rest.
+    """
+    first = Bursts(((0.4, 5.3),), ("a",), 0.9, 5.0, 2.0, 0.1, 1.0, 1.1, (1.0,), 0.95)
+    monkeypatch.setattr(undisturbed, "discrepancy", lambda *_: Size(left, left, left))
+    monkeypatch.setattr(undisturbed, "everywhere", lambda *_: replace(first, intervals=spans))
+    again = Pass(None, kind, final=SimpleNamespace(model=None), known=SimpleNamespace(all=0.0))
+    parts = SimpleNamespace(fit=None, held=None)
+    before, rest = Pass(decisions=(Pass(first),), parts=parts), Pass(decisions=(again,))
+    (found,) = undisturbed._beside_pushes(before, rest).decisions  # type: ignore[arg-type]
+    assert (found.bursts is not None) is pushed
 
 
 @pytest.mark.usefixtures("searched_once")
