@@ -12,17 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
+import small_models
 from small_models import model_of
 
 from zendsp.diagnosis import Diagnosis, engine
 from zendsp.diagnosis.decide import detectable as sizes
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.report.html import _could_not
 from zendsp.diagnosis.report.summary import hidden as hidden_words
 from zendsp.diagnosis.report.summary import summary
 from zendsp.diagnosis.search.screen import FIRST_ORDER
 from zendsp.physics.calibration.handles import get_values
+from zendsp.physics.calibration.terms import grid_of, make_term
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import Quantity, Term
 
@@ -65,6 +68,28 @@ def test_a_drift_with_the_least_time_constant_that_a_size_is_stated_for_is_named
     (found,) = decided(reality.Machine(fade=0.05, fading=least)).findings
     assert found.effect == "gain_drift"
     assert found.parameters["time_constant"].value == pytest.approx(least, rel=0.1)
+
+
+def test_a_size_of_a_cubic_spring_is_that_of_the_worst_neutral_point_of_the_travel() -> None:
+    """About the middle between two of three neutral points 1.3 times the stated size was too small
+    to be told, and "complete".
+    """
+    model = model_of(small_models.VISCOUS, small_models.COULOMB)
+    motion = reality.multisine(6.0, reality.RATE, 3) + np.linspace(0.0, 0.4, int(6 * reality.RATE))
+    data = small_models.data_of(reality.simulate(reality.Machine(), motion, reality.RATE), model)
+    decision: Any = SimpleNamespace(joint=1, final=calibrate_joint(data, model, 1, 1))
+    found, screen = sizes._screened(data, decision, 1)
+    traces = sizes._Traces(screen, found, screen, found, ())
+    told = sizes._smallest(traces, "cubic_stiffness", 0.0, 0.001)
+    assert told is not None
+    effect, record = get_effect("cubic_stiffness"), screen.records[0]
+    at = [point["neutral"] for point in grid_of(effect, record, model)]
+    columns = [
+        traces.of(make_term(effect, 1, {"coefficient": 1.0, "neutral": float(place)}))
+        for place in np.linspace(min(at), max(at), 33)
+    ]
+    needed = [sizes.AMPLE * 0.001 / sizes._torque(screen, column) for column in columns]
+    assert told.value("coefficient") >= 0.9 * max(needed)
 
 
 def _travels(far: float) -> Any:
