@@ -370,6 +370,7 @@ def facts(
             strongest=float(command.max()),
             sample_time=record.sample_time,
             slides=record.slides,
+            sensor=record.measurement.std,
             lines=record.between > 0.0,
             joint=record.joint,
             joints=len(record.others),

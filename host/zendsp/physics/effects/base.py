@@ -89,6 +89,8 @@ class Facts:
     links : float
         Mean inertia of an arm's links along the recordings, kg m² or kg, without bodies that an
         effect adds; 0 for a joint alone.
+    sensor : float
+        Standard deviation of the position sensor, rad or m.
     lines : bool
         Rows are samples of a faster loop, and lines stand for its command between them.
     """
@@ -110,6 +112,7 @@ class Facts:
     temperature: float = float("nan")
     replaced: Numbers = field(default_factory=dict)
     links: float = 0.0
+    sensor: float = 0.0
     lines: bool = False
 
 
