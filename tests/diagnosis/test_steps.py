@@ -81,6 +81,18 @@ def test_backlash_replaces_a_given_spring_but_not_a_found_one() -> None:
     assert not simulated(data, model, 1, frozenset({"backlash"}), 1, model_of(VISCOUS, COULOMB))
 
 
+def test_a_gap_is_found_however_wide_the_motion_is() -> None:
+    """Gaps of 0.06 to 0.25 thousandths of the travel were unexplained, or a spring that stiffens."""
+    motion = 1.5 * np.sin(0.8 * np.pi * np.arange(8 * RATE) / RATE)
+    motion += reality.multisine(8.0, RATE, 3, size=0.3)
+    machine = reality.Machine(gap=6e-4, load=0.005, resolution=1e-6)
+    model = model_of(VISCOUS, COULOMB)
+    base = calibrate_joint(data_of(reality.simulate(machine, motion, RATE), model), model, 1, 1)
+    best = Rounds(base.data, 1, 1, lambda _: None).round(base)[0]
+    assert best.effect == "backlash"
+    assert base.deviance - best.value > 5000.0  # a spring that stiffens gains 3456
+
+
 def test_a_gap_that_a_stiffening_spring_imitates_takes_its_place() -> None:
     """No start of its own led to a gap of 0.9 mrad. A spring that stiffens took its place, was no
     finding, and a Stribeck curve beside it was none either.
