@@ -15,6 +15,7 @@ from made_claims import claim_of, of_one_claim
 
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
+from zendsp.diagnosis.decide import stated_numbers
 from zendsp.diagnosis.decide.findings import Estimate, estimates, sentence
 from zendsp.diagnosis.decide.naming import _is_a_coupling, _same
 from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load, _late_log
@@ -29,6 +30,7 @@ from zendsp.diagnosis.decide.stated_numbers import (
 )
 from zendsp.diagnosis.engine import _ready
 from zendsp.diagnosis.explain import linked
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.calibration.fit import Fit
@@ -237,6 +239,70 @@ def test_a_refinement_takes_no_part_of_a_laws_number() -> None:
     stated = between(refined, alone)
     assert stated["level"].value == 0.030 and 0.0075 < stated["level"].std < 0.008
     assert stated["other"] == refined["other"]
+
+
+@pytest.mark.parametrize(("alone", "kept"), [(0.0007, False), (0.003, True)])
+def test_a_hysteresis_that_the_claims_do_without_has_no_part_of_coulomb_friction(
+    alone: float, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of 0.148 N m left 0.651 ± 0.016 N m of 0.8, where 0.8 alone leaves nothing either."""
+    stated = _model_of_the_numbers("hysteresis", 0.0017, 0.0002, alone, monkeypatch)
+    assert stated == (None if kept else ["coulomb"])
+
+
+@pytest.mark.parametrize(("size", "kept"), [(0.117, False), (0.3, True)])
+def test_a_drift_that_is_not_claimed_scales_no_friction(
+    size: float, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A real arm's friction of some 400 N m was stated as 1300 ± 200, from which it fell by three
+    quarters within two seconds; so it was compensated.
+    """
+    stated = _model_of_the_numbers("friction_drift", size, 0.095, 0.13, monkeypatch)
+    assert stated == (None if kept else ["coulomb"])
+
+
+def _model_of_the_numbers(
+    refinement: str, size: float, left: float, alone: float, monkeypatch: pytest.MonkeyPatch
+) -> list[str] | None:
+    """The effects of the fit from which Coulomb friction of 0.77 of the torque takes its number,
+    beside a refinement of this ``size``. ``left``: by all, and ``alone``: surely by the claims.
+    """
+    law, more = Term("coulomb", 1, {"level": Quantity(0.65)}), Term(refinement, 1, {})
+    model = Model("arm", 1e-3, "urdf", {}, (law, more))
+    final: Any = SimpleNamespace(model=model, data=None)
+    claim = claim_of(law, 0.77)
+    decision = replace(
+        of_one_claim(claim, 1.0, left, final),
+        refinements=(claim_of(more, size),),
+        bare=Size(1.1 * alone, alone, 1.2 * alone),
+    )
+    monkeypatch.setattr(stated_numbers, "joint_handles", lambda *_: ())
+    monkeypatch.setattr(
+        stated_numbers, "fit_scored", lambda _, model, *__, **___: SimpleNamespace(fit=model)
+    )
+    fitted: Any = stated_numbers._unrefined(decision, claim)
+    return None if fitted is None else [t.effect for t in fitted.terms]
+
+
+@pytest.mark.parametrize(
+    ("refinement", "value", "std"), [("friction_drift", 418.0, 26.0), ("hysteresis", 418.0, 441.0)]
+)
+def test_a_drift_makes_the_friction_over_a_recording_no_less_certain(
+    refinement: str, value: float, std: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At its beginning and over all of the recording are two numbers, not one in doubt."""
+    law, more = Term("coulomb", 1, {"level": Quantity(1300.0)}), Term(refinement, 1, {})
+    with_it: Any = SimpleNamespace(model=Model("arm", 1e-3, "urdf", {}, (law, more)))
+    bare: Any = SimpleNamespace(model=Model("arm", 1e-3, "urdf", {}, (law,)))
+    numbers = {id(with_it): Estimate(1300.0, 200.0, "N m"), id(bare): Estimate(418.0, 26.0, "N m")}
+    monkeypatch.setattr(stated_numbers, "_unrefined", lambda *_: bare)
+    monkeypatch.setattr(
+        stated_numbers, "estimates", lambda fit, *_, **__: {"level": numbers[id(fit)]}
+    )
+    claim = claim_of(law, 0.77)
+    whole: Any = SimpleNamespace(fits={1: with_it})
+    stated = numbers_of(with_it.model, of_one_claim(claim, 1.0, 0.1), whole, claim, alone=True)
+    assert stated["level"].value == value and stated["level"].std == pytest.approx(std, rel=0.01)
 
 
 @pytest.mark.parametrize(("std", "nothing"), [(0.16, True), (0.009, False)])

@@ -58,7 +58,9 @@ def numbers_of(
             spread = essential_deviation(fit, claim.term, key)
             values[key] = replace(values[key], std=min(spread, values[key].std))
     if (bare := _unrefined(decision, claim)) is not None:
-        values = between(values, of(bare))
+        # at a drift's beginning, and over all of the recordings, are two numbers
+        drifted = _drifts(whole.fits[joint].model, joint) and not _drifts(bare.model, joint)
+        values = of(bare) if drifted else between(values, of(bare))
     if alone:
         return values
     # that a claimed law is not zero is shown by its evidence on held-out recordings
@@ -135,22 +137,22 @@ def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
     """The law fitted without the refinements of its own mechanism, which may have absorbed a part
     of its numbers; laws that every machine has stay. None where there are no refinements, where the
     law needs them, or where they are couplings from the same joint. A refinement stays if the law
-    would leave too much without it. All stay where together they leave nothing; except a lag that
-    is not needed beside a delay, since the two stand in for one another.
+    would leave too much without it. All stay where together they leave nothing and the claims alone
+    surely something; except a lag that is not needed beside a delay, since the two stand in for one
+    another.
     """
     final, joint = decision.final, decision.joint
-    nothing_left = decision.after.value < SIMULATORS_DIFFER
+    all_needed = decision.after.value < SIMULATORS_DIFFER <= decision.bare.low
     effect = get_effect(claim.effect)
     if effect.needs or effect.coupled or not any(claim is c for c in decision.claims):
         return None
     beside = [
         counterpart(final.model.terms, r.term)
         for r in decision.refinements
-        if r.mechanism == claim.mechanism
-        and not (get_effect(r.effect).needs or get_effect(r.effect).common)
+        if _takes_part(claim, r)
         and r.size < LEFT_BY_A_LAW * claim.size
         and not both_needed(final, claim, r)
-        and not (nothing_left and get_effect(r.effect).family != "timing")
+        and not (all_needed and get_effect(r.effect).family != "timing")
     ]
     if not beside:
         return None
@@ -160,6 +162,21 @@ def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
     return fit_scored(
         final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=1, rounds=1
     ).fit
+
+
+def _takes_part(claim: Claim, refinement: Claim) -> bool:
+    """Whether a refinement may have a part of a law's numbers: one of the same mechanism that
+    stands by itself, or a factor on all friction of the joint.
+    """
+    effect = get_effect(refinement.effect)
+    if effect.site == "scale":
+        return claim.mechanism in ("dry_friction", "fluid_friction")
+    return refinement.mechanism == claim.mechanism and not (effect.needs or effect.common)
+
+
+def _drifts(model: Model, joint: int) -> bool:
+    """Whether a factor that changes in time is on all friction of a joint."""
+    return any(get_effect(t.effect).site == "scale" for t in model.at(joint))
 
 
 def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[str, Estimate]:
