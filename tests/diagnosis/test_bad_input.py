@@ -16,13 +16,14 @@ import reality
 from click.testing import CliRunner
 from mistakes import BAD, Columns, hung
 
+import zendsp
 from zendsp.cli.model import check
 from zendsp.diagnosis.data import checks, plausibility
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.plausibility import scaled
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import read_divided
-from zendsp.errors import RecordingError
+from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model
 
 
@@ -201,6 +202,24 @@ def test_wrong_models_are_refused_with_the_key(
     change, words = MODELS[mistake]
     model.write_text(change(model.read_text()))
     assert words in refuse(reality.save(tmp_path / "run.csv", good), "--model", model)
+
+
+@pytest.mark.parametrize(
+    "given", [{"q": [0.0]}, SimpleNamespace(columns=["q"]), np.zeros((9, 3)), [np.zeros(9)], 3]
+)
+def test_numbers_in_memory_are_refused_with_the_call_that_makes_a_recording_of_them(
+    given: Any, model: Path
+) -> None:
+    """A data frame and a dict were taken for the names of files that do not exist."""
+    with pytest.raises(RecordingError, match=r"is none: give .* zendsp.Recording.from_columns\("):
+        zendsp.diagnose(given, model)
+    with pytest.raises(RecordingError, match="is none"):
+        zendsp.diagnose("run.csv", model, given)
+
+
+def test_what_is_no_model_is_refused() -> None:
+    with pytest.raises(ModelError, match="model: int is none: give the path of a model file"):
+        zendsp.diagnose("run.csv", 3)  # type: ignore[arg-type]
 
 
 def test_missing_model_file_is_refused(

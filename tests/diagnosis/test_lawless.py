@@ -14,7 +14,7 @@ from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import Diagnosis
-from zendsp.diagnosis.decide import believed, nothing_named
+from zendsp.diagnosis.decide import believed, notes, nothing_named
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import propose as proposal
 from zendsp.diagnosis.decide.claims import Decision
@@ -89,6 +89,22 @@ def test_joints_that_one_torque_over_their_positions_pulls_are_moved_at_the_same
     assert np.ptp(q, axis=0).min() > 0.1 and abs(np.corrcoef(q.T)[0, 1]) < 0.9
     said, q = proposed("dry_friction", "position_torque")
     assert "record joint 1 again" in said and np.ptp(q[:, 1]) == 0
+
+
+def test_a_joint_that_nothing_drives_is_not_told_to_follow_a_reference() -> None:
+    """A free pendulum was to follow a multisine, and its model to say how long a loop holds."""
+    model = model_of(VISCOUS, COULOMB)
+    columns = reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE)
+    fit = data_of(columns, model)
+    free: Any = SimpleNamespace(records=[[replace(fit.records[0][0], command=0.0 * columns["u"])]])
+    assert "[actuator] hold" in notes._held(fit, model) and notes._held(free, model) == ""
+    signals: Any = SimpleNamespace(command=np.zeros((10, 1)))
+    search: Any = SimpleNamespace(final=SimpleNamespace(data=fit))
+    found: Any = [SimpleNamespace(effect="unknown", joint=1, mechanism="dry_friction")]
+    given: Any = SimpleNamespace(limits={}, joints=1, joint_kind=lambda _: "rotary")
+    said = proposal._without_rival(signals, given, [search], found, [], 0)
+    assert said is not None and said.reference is None
+    assert said.sentence.startswith("Nothing drives joint 1: record it again from other")
 
 
 def test_a_push_is_told_from_its_rivals_by_the_same_motion_again(

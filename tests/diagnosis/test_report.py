@@ -100,6 +100,20 @@ def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
     )
 
 
+def test_two_diagnoses_can_be_compared_in_a_list() -> None:
+    """Their arrays were compared, which have no one truth: `found == read_again` was an error."""
+    none: Any = ((), (), ())
+    model: Any = None
+    one, other = (
+        Diagnosis(
+            "complete", *none, "rad", model, model, 0.0, (), None, 0.0, (), model, model, model,
+            missing={1: [np.zeros(3)]},  # type: ignore[list-item]
+        )
+        for _ in range(2)
+    )  # fmt: skip
+    assert one == one and one != other and [other, one].index(one) == 1
+
+
 def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, Any]) -> None:
     assert report["verdict"] == "missing"
     assert {f["effect"] for f in report["findings"]} == {"coulomb", "ripple"}

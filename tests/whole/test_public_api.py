@@ -201,3 +201,22 @@ def test_a_traceback_names_an_error_as_a_user_imports_it() -> None:
     kind = type(refused.value)
     assert getattr(importlib.import_module(kind.__module__), kind.__name__) is kind
     assert kind.__module__ == "zendsp.errors"
+
+
+@pytest.mark.parametrize("room", [name for name in ROOMS if name != "zendsp.demo"])
+def test_tab_completes_every_public_name(room: str) -> None:
+    """Names that are imported on first use were not offered, so `zendsp.physics.` had none."""
+    code = f"import {room} as room; print(*sorted(set(room.__all__) - set(dir(room))))"
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S
+    )
+    assert said.stdout.strip() == ""
+
+
+def test_the_page_of_the_api_has_every_step_of_a_recording() -> None:
+    """The one that waits for its rows was missing; the one that does not was all that stood there.
+    """
+    page = (ROOT / "docs" / "api.md").read_text()
+    listed = re.search(r"::: zendsp\.link\.acquire\.Recorder\n.*\n +members: \[(.*?)\]", page)
+    recorder = importlib.import_module("zendsp.link.acquire").Recorder
+    assert listed and set(listed[1].split(", ")) == {n for n in vars(recorder) if n[0] != "_"}

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -52,7 +52,7 @@ from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
 from zendsp.diagnosis.transmission.torque_sensor import sided
-from zendsp.errors import RecordingError
+from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import CALLED, Model
@@ -423,10 +423,24 @@ def _name(
 def _as_model(model: Model | str | Path | dict[str, Any]) -> Model:
     if isinstance(model, Model):
         return model
-    return parse_model(model) if isinstance(model, dict) else load_model(model)
+    if isinstance(model, str | Path):
+        return load_model(model)
+    if not isinstance(model, dict):
+        kind = type(model).__name__
+        raise ModelError(f"model: {kind} is none: give the path of a model file, a Model or a dict")
+    return parse_model(model)
 
 
 def _sources(given: Source | Sequence[Source] | None) -> list[Source]:
     if given is None:
         return []
-    return [given] if isinstance(given, str | Path | Recording | Table) else list(given)
+    table = isinstance(given, Mapping) or hasattr(given, "columns")  # it would list its columns
+    one = table or isinstance(given, str | Path) or not isinstance(given, Iterable)
+    sources: list[Source] = [given] if one else list(given)  # type: ignore[list-item, arg-type]
+    for source in sources:
+        if not isinstance(source, str | Path | Recording | Table):
+            raise RecordingError(
+                f"recording: {type(source).__name__} is none: give the path of a file, or"
+                ' zendsp.Recording.from_columns({"q": q, "u": u}, t=t)'
+            )
+    return sources

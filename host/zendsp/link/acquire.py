@@ -314,8 +314,8 @@ class Recorder(Transfers):
         progress: Callable[[float], None] | None = None,
         patience: float = PATIENCE_S,
     ) -> Recording:
-        """Load the rows that the recorder holds and return the recording, also after a crash of the
-        program.
+        """Load the rows that the recorder holds by now and return the recording, also after a crash
+        of the program; `acquire_finish` waits for all of them.
 
         Parameters
         ----------

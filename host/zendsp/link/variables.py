@@ -221,7 +221,8 @@ class Variables(Part):
         no gain then steps the torque.
 
         Whole numbers, flags and tables switch at the end. Another update ends the fade of the
-        variables that it writes. Where the program does not run, all values are set at once.
+        variables that it writes; Ctrl-C ends the waiting only. Where the program does not run, all
+        values are set at once.
 
         Parameters
         ----------

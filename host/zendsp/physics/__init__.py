@@ -43,3 +43,7 @@ if TYPE_CHECKING:
 __all__ = sorted(_LAZY)
 
 __getattr__ = on_first_use(__name__, _LAZY)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY})

@@ -226,11 +226,11 @@ def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> 
 
 
 def _held(fit: Data, given: Model) -> str:
-    """The note that commands are taken as held from row to row: the model does not say how long, or
-    the rows are so far apart that the loop may be faster.
+    """The note that commands, if any, are taken as held from row to row: the model does not say how
+    long, or the rows are so far apart that the loop may be faster.
     """
     hold, records = given.actuator.hold, [r for rec in fit.records for r in rec]
-    if any(r.between for r in records):
+    if any(r.between for r in records) or not any(np.any(r.command) for r in records):
         return ""
     if hold is None:
         return (

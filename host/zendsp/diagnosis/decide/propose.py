@@ -206,6 +206,11 @@ def _without_rival(
     )
     lawless = [f for f in findings if f.effect == "unknown"]
     joints = [f.joint for f in lawless] if findings else [*again, *unseen]
+    if joints and not np.any(signals.command):
+        return Next(
+            f"Nothing drives {listed(joints[:1])}: record it again from other first positions and"
+            " speeds. What repeats with the state is physics."
+        )
     if joints:
         # what pulls at several joints may depend on where each of them is
         pulled = {f.joint for f in lawless if f.mechanism == PLACE} & set(joints)

@@ -152,7 +152,7 @@ class Errors:
         }
 
 
-@dataclass(repr=False)
+@dataclass(repr=False, eq=False)  # arrays have no one truth
 class Diagnosis:
     """The outcome of a diagnosis; docs/diagnosis.md says how to read it.
 
