@@ -274,6 +274,12 @@ def test_columns_are_taken_by_name_and_other_ways_say_so(recording: Recording) -
         list(recording)
 
 
+def test_tab_completes_what_a_recording_takes_by_name(recording: Recording) -> None:
+    offered = recording._ipython_key_completions_()
+    assert offered == ["t", "q", "u", "w", "q[0]", "q[1]"]
+    assert all(len(recording[name]) == 200 for name in offered)
+
+
 def test_analog_inputs_keep_the_unit_of_each(tmp_path: Path) -> None:
     program = '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'
     with local("pendulum", clock="fast", options=["--speed", "20"]) as target:

@@ -235,6 +235,10 @@ class Samples:
         """
         return ["t", *(name for name in self.columns if name != "t")]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        """Names for ``rec["<Tab>`` at a prompt."""
+        return list(dict.fromkeys(["t", *self.names, *self.columns]))
+
     def __iter__(self) -> NoReturn:
         raise RecordingError(
             "a recording is not gone through by itself: rec.names are its channels, rec.columns its"
