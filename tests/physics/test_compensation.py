@@ -210,6 +210,27 @@ def test_where_a_command_is_no_torque_the_compensation_says_by_what_to_divide() 
     assert "divide" not in compensation(terms, actuator=Actuator())
 
 
+@pytest.mark.parametrize(("refinement", "offered"), [("coulomb", True), ("hysteresis", False)])
+def test_no_code_is_offered_for_a_refinement_that_no_torque_cancels(
+    refinement: str, offered: bool, tmp_path: Path
+) -> None:
+    """`model2c --effects-only` was to have it, and said "Not compensated" of it."""
+    law = Term("viscous", 1, {"coefficient": Quantity(1.0)})
+    report: Any = {
+        "findings": [{"effect": "viscous", "joint": 1, "mechanism": "fluid_friction"}],
+        "refinements": [{"effect": refinement, "joint": 1, "mechanism": "dry_friction"}],
+    }
+    model = Model("axis", None, "rotary", {}, terms=(law, Term(refinement, 1, {})))
+    said = Finding("viscous", 1, {}, 0.97, 1.0, (), (), "", mechanism="fluid_friction")
+    d: Any = SimpleNamespace(
+        report=lambda: report, improved=model, findings=[said], refinements=[]
+    )
+    files._compensation(d, tmp_path)
+    code = (tmp_path / "compensation.c").read_text()
+    assert f"left out ({refinement})." in code
+    assert ("zendsp model2c" in code) is offered
+
+
 @pytest.mark.parametrize(("joint", "stands"), [(1, True), (2, False)])
 def test_the_level_to_which_a_found_friction_falls_is_compensated_too(
     joint: int, stands: bool, tmp_path: Path

@@ -159,6 +159,7 @@ def report_text(d: Diagnosis) -> str:
 def _compensation(d: Diagnosis, folder: Path) -> None:
     try:
         from zendsp.physics.codegen.compensation import compensation
+        from zendsp.physics.codegen.terms import compensable
     except ImportError:
         return
     report = d.report()
@@ -176,11 +177,16 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
         )
     left = [t for t in d.improved.terms if not any(t is x for x in terms)]
     names = {(r["effect"], r["joint"]) for r in report["refinements"]}
-    if more := dict.fromkeys(t.effect for t in left if (t.effect, t.joint) in names):
-        sentences.append(
-            f"What only refines the fit is left out ({', '.join(more)}). With it, and with what the"
-            " given model had: zendsp model2c model.toml --effects-only."
-        )
+    refining = [t for t in left if (t.effect, t.joint) in names]
+    if refining:
+        more = dict.fromkeys(t.effect for t in refining)
+        said = f"What only refines the fit is left out ({', '.join(more)})."
+        if any(compensable(t) for t in refining):
+            said += (
+                " With what of it a torque can cancel, and what the given model had: zendsp model2c"
+                " model.toml --effects-only."
+            )
+        sentences.append(said)
     (folder / "compensation.c").write_text(
         compensation([as_stated(d, t) for t in terms], model=d.improved, sentences=sentences),
         encoding="utf-8",
