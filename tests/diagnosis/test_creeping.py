@@ -14,6 +14,7 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.explain import one_joint
 from zendsp.diagnosis.search import forward
+from zendsp.diagnosis.search.candidates import loosened
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.rounds import Rounds
@@ -195,3 +196,14 @@ def test_the_creep_of_a_found_friction_is_asked_before_the_decision(
     parts: Any = SimpleNamespace(fit=None, choose=None)
     found, beneath = one_joint._search_joint(parts, given, 1, 1, print)
     assert found is soft and beneath is creeping
+
+
+def test_a_creep_that_the_search_holds_is_no_law_with_a_wrong_number() -> None:
+    """Freed, one of 0.07 rad/s became one of 0.9 mrad/s beside a Coulomb friction of 2 N m, whose
+    name it took: both were fluid friction without a law.
+    """
+    held = {**COULOMB, "level": {"value": 0.03, "free": False}}
+    model = model_of(held, CREEP)
+    model = model.with_terms(tuple(t.held() for t in model.terms))
+    (offered,) = loosened(model, 1)
+    assert [candidate.effect for candidate in offered] == ["coulomb"]

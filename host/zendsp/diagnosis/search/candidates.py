@@ -94,7 +94,8 @@ def loosened(
     """Hypotheses that free the numbers of the model's fixed terms: a law may be right and its
     number wrong.
 
-    Numbers with a standard deviation, held by an earlier diagnosis, stay.
+    Numbers with a standard deviation, held by an earlier diagnosis, stay; and so does a creep, which
+    is no law: the search itself holds one.
     """
     terms = model.at(joint)
     names = [t.effect for t in terms]
@@ -104,7 +105,9 @@ def loosened(
         fitted = [p.name for p in effect.parameters if p.fitted and p.name in term.parameters]
         numbers = [term.parameters[name] for name in fitted]
         fixed = any(not q.free and q.std == 0.0 for q in numbers)
-        if not fixed or names.count(term.effect) > 1 or (only and term.effect not in only):
+        if not fixed or term.effect == "creep" or names.count(term.effect) > 1:
+            continue
+        if only and term.effect not in only:
             continue
         free = replace(
             term,
