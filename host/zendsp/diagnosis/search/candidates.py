@@ -94,8 +94,8 @@ def loosened(
     """Hypotheses that free the numbers of the model's fixed terms: a law may be right and its
     number wrong.
 
-    Numbers with a standard deviation, held by an earlier diagnosis, stay; and so does a creep, which
-    is no law: the search itself holds one.
+    Numbers with a standard deviation, held by an earlier diagnosis, stay; and so does a creep,
+    which is no law: the search itself holds one.
     """
     terms = model.at(joint)
     names = [t.effect for t in terms]
