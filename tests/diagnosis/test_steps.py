@@ -82,7 +82,7 @@ def test_backlash_replaces_a_given_spring_but_not_a_found_one() -> None:
 
 
 def test_a_gap_is_found_however_wide_the_motion_is() -> None:
-    """Gaps of 0.06 to 0.25 thousandths of the travel were unexplained, or a spring that stiffens."""
+    """Gaps of 0.06 to 0.25 mm in a metre of travel were unexplained, or "complete"."""
     motion = 1.5 * np.sin(0.8 * np.pi * np.arange(8 * RATE) / RATE)
     motion += reality.multisine(8.0, RATE, 3, size=0.3)
     machine = reality.Machine(gap=6e-4, load=0.005, resolution=1e-6)
