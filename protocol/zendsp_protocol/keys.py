@@ -56,8 +56,15 @@ def ended(target: str) -> str:
     return f"{alive(target)}/ended"
 
 
+def farewell(target: str, safe: bool) -> str:
+    """Liveliness token of a target that ends by itself, shown last of all, once its program has
+    ended: whether its machine is in its safe state.
+    """
+    return f"{ended(target)}/{'safe' if safe else 'unsafe'}"
+
+
 def life(target: str) -> str:
-    """Both tokens of a target."""
+    """All these tokens of a target."""
     return f"{alive(target)}/**"
 
 

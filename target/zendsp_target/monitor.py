@@ -77,14 +77,17 @@ class Monitor:
         self._closed = False
 
     def close(self) -> None:
-        """End serving; the runtime is left in its safe state."""
+        """End serving; the runtime is left in its safe state, or hosts are told that it is not."""
         if self._closed:
             return
         self._closed = True
         self._entry.remove()
         self._server.close()
-        self._session.close()  # type: ignore[no-untyped-call]
-        self._runtime.close()
+        try:
+            self._runtime.close()
+            self._server.say_farewell(not self._runtime.unsafe)
+        finally:
+            self._session.close()  # type: ignore[no-untyped-call]
 
     def run(self, asked: Asked, parent: int, ready: Callable[[], None]) -> None:
         """Serve until a signal is in ``asked``, or until the process ``parent`` (0: none) is no

@@ -14,11 +14,36 @@ from pathlib import Path
 
 from waiting import PATIENCE_S
 
+ROUTER = """
+import sys, time, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"router"')
+config.insert_json5("listen/endpoints", f'["{sys.argv[1]}"]')
+config.insert_json5("scouting/multicast/enabled", "false")
+session = zenoh.open(config)
+print("there", flush=True)
+time.sleep(3600)
+"""
+
 
 def python(code: str, *arguments: str) -> subprocess.Popen[str]:
     """Run Python code in a process of its own."""
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+@contextlib.contextmanager
+def there(code: str, *words: str) -> Iterator[subprocess.Popen[str]]:
+    """A process that runs Python code, from when it says that it is there."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None and process.stdout.readline() == "there\n"
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def kill(process: subprocess.Popen[str]) -> None:

@@ -18,6 +18,7 @@ import pytest
 import zenoh
 from waiting import PATIENCE_S, until
 
+from zendsp.cli.common import how_left
 from zendsp.errors import (
     LinkError,
 )
@@ -132,6 +133,42 @@ def test_a_target_elsewhere_that_ends_is_not_waited_for(target: Target, monitor:
     try:
         until(lambda: target.alive, "the target is back")
         assert not target.link.ended
+    finally:
+        again.close()
+
+
+@pytest.mark.parametrize("wrong", ["", "joint 1 still has its torque"])
+def test_a_target_that_ends_says_whether_its_machine_is_safe(
+    wrong: str, target: Target, monitor: Monitor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The host said NOT KNOWN, though the target knew."""
+    monkeypatch.setattr(Runtime, "unsafe", wrong)
+    assert target.link.farewell(0.0) is None, "one that runs has said nothing"
+    monitor.close()
+    until(lambda: not target.alive, "the end is noticed")
+    assert target.link.farewell(PATIENCE_S) is (wrong == "")
+    said = "machine is NOT in its safe state" if wrong else "machine is in its safe state"
+    assert said in how_left(target)
+
+
+def test_where_nobody_waits_any_more_a_request_fails_at_once(
+    target: Target, monitor: Monitor
+) -> None:
+    """What puts things back after an outage waited 5 s for each of them."""
+    target.link.give_up()
+    assert not target.link.given_up, "it is not lost"
+    monitor.close()
+    until(lambda: not target.alive, "the end is noticed")
+    target.link.own = target.link.ended = False  # as if it were elsewhere, and cut off
+    target.link.give_up()
+    begin = time.monotonic()
+    with pytest.raises(LinkError):
+        target.link.request("write", {"values": {"Kp1": 1.0}}, timeout=PATIENCE_S)
+    assert time.monotonic() < begin + PATIENCE_S / 2, "it waited for the target to come back"
+    again = Monitor(Runtime("imi_planar"), Options("fake", "imi_planar"))
+    try:
+        until(lambda: target.alive, "the target is back")
+        assert not target.link.given_up
     finally:
         again.close()
 

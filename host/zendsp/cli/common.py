@@ -27,6 +27,7 @@ from zendsp_protocol.values import Assignable, Packed, from_wire
 if TYPE_CHECKING:
     from zendsp.link import Target
 
+FAREWELL_S = 3.0  # for a target that ends to end its program: a machine that brakes takes 1 to 2
 ENDING = (signal.SIGTERM, signal.SIGHUP)
 _UNIT = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*[^\W\d_]")  # a number, a letter
 F = TypeVar("F", bound=Callable[..., Any])
@@ -113,7 +114,7 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
             yield held
         except (KeyboardInterrupt, LinkError):
             if moves:
-                _say_of(held, _how_left(held))
+                _say_of(held, how_left(held))
             raise
         return
     from zendsp.link import connect
@@ -133,7 +134,7 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
             raise
         finally:
             if cut_short:
-                _say_of(target, _how_left(target))
+                _say_of(target, how_left(target))
             elif target.alive:
                 said = ""
                 # it went away at this moment: the command itself is told so
@@ -149,12 +150,20 @@ def _say_of(target: Target, words: str) -> None:
     click.echo(fitted(f"zendsp: {target.name}: {words}", sys.stderr), err=True)
 
 
-def _how_left(target: Target) -> str:
+def how_left(target: Target) -> str:
     """The state in which an interrupted command leaves the machine."""
     from zendsp.link.programs import left
 
     with suppress(ZendspError, KeyboardInterrupt):  # of somebody who waits no longer
         return left(target.status())
+    safe = target.link.farewell(FAREWELL_S)
+    if safe:
+        return "the target has ended; as it said, its machine is in its safe state"
+    if safe is not None:
+        return (
+            "the target has ended, and as it said its machine is NOT in its safe state: use the"
+            " machine's emergency stop"
+        )
     return (
         "NOT KNOWN whether the machine still moves: the target does not answer. Use 'zendsp stop',"
         " and the machine's emergency stop where that does not say that it stopped"

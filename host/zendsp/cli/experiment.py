@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import click
 
 from zendsp.cli.common import check_writable, end_softly, json_option, out_option, wrapped
 from zendsp.cli.completing import experiments
+from zendsp.cli.lines import fitted
 from zendsp.errors import ModelError, RecordingError, Refused, ZendspError
 from zendsp_protocol.texts import counted
 
@@ -160,9 +162,13 @@ def _make(name: str, lab: Lab, into: Path | None, as_json: bool) -> None:
         with stages(quiet=as_json) as tell:
             lab.say = lambda text: tell(f"{name}: {text}")
             result = run_experiment(name, lab)
-    except KeyboardInterrupt:
-        ours = "" if lab.target else "; the simulated machine ended with it"
-        click.echo(f"{name}: ended early; what was recorded is in {lab.folder}{ours}", err=True)
+    except (KeyboardInterrupt, ZendspError) as error:
+        said = lab.left
+        if isinstance(error, KeyboardInterrupt):
+            said = said or f"ended early; what was recorded is in {lab.folder}"
+            said += "" if lab.target else "; the simulated machine ended with it"
+        if said:
+            click.echo(fitted(f"{name}: {said}", sys.stderr), err=True)
         raise
     _print(result, lab.folder / name, as_json)
     if into is not None:

@@ -70,7 +70,7 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
     """
     result = Result("friction", "Friction of every joint", lab.machine_of("friction"))
     curves: dict[int, tuple[Array, Friction]] = {}
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         place = standing(bench)
         all_joints = bench.target.machine().joints
         period = 1.0 / bench.target.status().rate_hz

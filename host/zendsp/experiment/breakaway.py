@@ -67,17 +67,16 @@ def breakaway(lab: Lab, count: int = 6, joints: tuple[int, ...] = ()) -> Result:
     of = " of the planar arm" if arm is not None else ""
     result = Result("breakaway", f"Static friction{of}", lab.machine_of("breakaway"))
     found: dict[int, Pushes] = {}
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         known = as_found(bench, lab, low)
         pusher = Pusher(bench, known)
         for joint in joints or known.axes:
             with left_out(result, bench.target, joint):
-                found[joint] = _pushes(pusher, lab, joint, count)
+                found[joint] = pushes = _pushes(pusher, lab, joint, count)
+                (_report if pushes.apart else _report_weighing)(result, pushes)
+                _report_stiffness(result, pushes)
         result.recordings, result.target = bench.recordings, bench.where
         refuse_none(result, found)
-        for pushes in found.values():
-            (_report if pushes.apart else _report_weighing)(result, pushes)
-            _report_stiffness(result, pushes)
         result.figure = _draw(found, bench)
     return result
 

@@ -92,7 +92,7 @@ def circle(lab: Lab, slower: tuple[float, ...] = (2.0, 4.0, 8.0)) -> Result:
         curves.machine,
     )
     floor: list[tuple[float, Array]] = []
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         task = _arm_task(curves) if plane is None else _task(bench, lab, plane, curves)
         reference = task.circle(task.duration)
         errors = _four_ways(bench, task, reference, result)

@@ -70,7 +70,7 @@ def high_speed(
     of = " of the planar arm" if arm is not None else ""
     result = Result("high-speed", f"Friction{of} at high speed", lab.machine_of("high-speed"))
     points: dict[int, list[Point]] = {}
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         known = as_found(bench, lab, low)
         pusher = Pusher(bench, known)
         for joint in joints or known.axes:
@@ -83,15 +83,14 @@ def high_speed(
                 result.warnings.append(f"Joint {joint} is left out: {why}.")
                 continue
             with left_out(result, bench.target, joint):
-                points[joint] = _points(pusher, lab, axis, arm is None)
+                points[joint] = each = _points(pusher, lab, axis, arm is None)
+                _report(result, known.axes[joint], each)
+                way = min(abs(p.way) for p in each)
+                for k in known.axes.keys() - {joint}:
+                    most = max(push.get(k, 0.0) for push in pusher.gave[joint])
+                    name_yielding(result, joint, way, {k: most})
         result.recordings, result.target = bench.recordings, bench.where
         refuse_none(result, points)
-        for joint, each in points.items():
-            _report(result, known.axes[joint], each)
-            way = min(abs(p.way) for p in each)
-            for k in known.axes.keys() - {joint}:
-                most = max(push.get(k, 0.0) for push in pusher.gave[joint])
-                name_yielding(result, joint, way, {k: most})
         if arm is not None and 1 in points:
             result.warnings.append(
                 "Joint 1 crosses its range of 4 rad before its transient of 0.75 s has quite ended:"

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError, Refused, Unmeasured, ZendspError
+from zendsp.experiment.early_end import LOST_S, Fetched, keep_early, not_waiting
 from zendsp.experiment.names import result_file
 from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
@@ -30,7 +31,7 @@ from zendsp.recording import Recording
 from zendsp.recording.files import save_anyhow
 from zendsp.reference import Reference
 from zendsp_protocol.messages import MachineInfo
-from zendsp_protocol.states import Clock, DriveState, ProgramState
+from zendsp_protocol.states import Clock, DriveState, HostLost, ProgramState
 
 Say = Callable[[str], None]
 Array = npt.NDArray[np.float64]
@@ -81,6 +82,7 @@ class Lab:
         self.target = target
         self.model = Path(model) if model is not None else None
         self.say: Say = say or (lambda text: None)
+        self.left = ""  # what the latest experiment left that ended early, in words
 
     def machine_of(self, name: str) -> str:
         """Name of the machine on which an experiment is made here: the target's, else the one that
@@ -99,7 +101,9 @@ class Lab:
         return self.machine_of(name)
 
     @contextmanager
-    def bench(self, name: str, **options: Any) -> Iterator[Bench]:
+    def bench(
+        self, name: str, result: Result | None = None, **options: Any
+    ) -> Iterator[Bench]:
         """A machine to experiment with. At the end of the block it stands still, and the program
         that was loaded before is loaded again but not started.
 
@@ -107,6 +111,9 @@ class Lab:
         ----------
         name : str
             Of the experiment: its folder, and what it needs of the target.
+        result : Result, optional
+            What the experiment fills. Where it ends early, what is in it by then is written as
+            ``result_ended.toml``, and `left` says so.
         **options
             Settings of a simulated machine that is started here; a target that is given must have
             them already.
@@ -130,7 +137,9 @@ class Lab:
             if lacks := experiment.lacking(machine, self.model is not None):
                 raise Refused(f"experiment {name} {lacks}")
             folder.mkdir(parents=True, exist_ok=True)
-            yield from self._guard(Bench(self.target, folder, self.say, machine, drives.explicit))
+            bench = Bench(self.target, folder, self.say, machine, drives.explicit)
+            bench.host_lost = drives.host_lost
+            yield from self._guard(bench, result)
             return
         from zendsp.link import local
 
@@ -142,17 +151,20 @@ class Lab:
         ]
         target = local(experiment.shipped, clock="fast", options=arguments)
         try:
-            yield from self._guard(Bench(target, folder, self.say))
+            yield from self._guard(Bench(target, folder, self.say), result)
         finally:
             target.close()
 
-    def _guard(self, bench: Bench) -> Iterator[Bench]:
+    def _guard(self, bench: Bench, result: Result | None) -> Iterator[Bench]:
         with loading(bench.target):
             try:
-                yield bench
-            except BaseException:  # Ctrl-C as well: the machine stands before the program ends
-                with uninterrupted(), contextlib.suppress(ZendspError):
-                    _stop(bench.target)
+                with not_waiting(bench.target):
+                    yield bench
+            except BaseException as error:  # Ctrl-C as well: the machine stands before it ends
+                with uninterrupted():
+                    with contextlib.suppress(ZendspError):
+                        _stop(bench.target)
+                    self.left = keep_early(result, bench, error)
                 raise
 
 
@@ -167,7 +179,7 @@ def loading(target: Target) -> Iterator[None]:
     finally:
         with uninterrupted():
             why = before.put_back()
-        if why:
+        if why and not target.link.given_up:
             warnings.warn(why, stacklevel=2)
         if not held:
             with contextlib.suppress(ZendspError):
@@ -200,6 +212,8 @@ class Bench:
         self._machine = machine
         self._enabled = enabled  # by somebody: again after each load, which switches them off
         self.recordings: list[str] = []
+        self.part: tuple[Path, float] | None = None  # of one that was cut off; how long it is, s
+        self.host_lost = HostLost.STOP  # what the target does without this host
         self.loaded: object = None
         self.seen: dict[int, Seen] = {}  # of each joint in the latest recording
         self.inertias = np.zeros(0)  # of each joint, as the machine declares them
@@ -298,12 +312,14 @@ class Bench:
             target.write(**values)
         if seconds is None:
             raise ZendspError(f"recording {name}: give seconds, or a reference")
+        fetched = Fetched(target)
         try:
             held = Held.by(reference, values)
-            with guarded(target, name, held), kept(target, [], moves=True):
+            with guarded(target, name, held), kept(target, [], moves=True), not_waiting(target):
                 recording = target.acquire(
                     channels, seconds=seconds, decimation=decimation, start=True, note=name,
-                    pauses=False, progress=_ending(target, done),
+                    pauses=False, progress=_watching(fetched, _ending(target, done)),
+                    patience=LOST_S,
                 )
                 if target.status().state == ProgramState.RUNNING:
                     target.pause()
@@ -313,7 +329,8 @@ class Bench:
         except BaseException as error:
             with uninterrupted(), contextlib.suppress(ZendspError):
                 _stop(target)  # first of all
-                self._keep_part(name, str(error) or type(error).__name__)
+            with uninterrupted(), contextlib.suppress(ZendspError):
+                self._keep_part(name, str(error) or type(error).__name__, fetched)
             raise
         self._keep(recording, name)
         if self.takes_over is not None and {"q", "tau"} <= set(recording.names):
@@ -394,17 +411,37 @@ class Bench:
             raise RecordingError(wrong)
         self.recordings.append(place.name)
 
-    def _keep_part(self, name: str, why: str) -> None:
-        """Keep the rows that were recorded before a run ended early, if any."""
-        if self.target.status().tick > 0:
-            self.target.acquire_stop()
-            recording = self.target.acquire_load(f"{name}, ended early: {why}")
-            save_anyhow(recording, self.folder / f"{name}_ended.npz")
+    def _keep_part(self, name: str, why: str, fetched: Fetched) -> None:
+        """Keep the rows that were recorded before a run ended early, if any; where the target is
+        gone those that were fetched by then.
+        """
+        note = f"{name}, ended early: {why}"
+        recording = fetched.recording(note)
+        with contextlib.suppress(ZendspError):
+            if self.target.status().tick > 0:
+                self.target.acquire_stop()
+                recording = self.target.acquire_load(note, patience=LOST_S)
+        if recording is not None:
+            place, _ = save_anyhow(recording, self.folder / f"{name}_ended.npz")
+            self.part = place, len(recording) * recording.sample_time
 
 
 def _blocked(target: Target) -> bool:
     """Whether joint_pd.c holds the machine because a joint is blocked."""
     return int(np.asarray(target["blocked"])) > 0
+
+
+def _watching(
+    fetched: Fetched, ending: Callable[[float], None] | None
+) -> Callable[[float], None]:
+    """What is called while a recording runs: it fetches rows, and may end the recording."""
+
+    def look(fraction: float) -> None:
+        fetched.look()
+        if ending is not None:
+            ending(fraction)
+
+    return look
 
 
 def _ending(

@@ -21,7 +21,7 @@ from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.moved import NO_CHANCE, Moved, contradicting, measured_load
 from zendsp.experiment.push import travel_time
 from zendsp.experiment.result import Estimate, Result
-from zendsp.experiment.watch import Seen, left_out, stood, widen
+from zendsp.experiment.watch import left_out, stood, widen
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp.reference.profiles import integrate_velocity, make_grid
@@ -90,8 +90,7 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
     title = "of the planar arm " if arm is not None else ""
     result = Result("low-speed", f"Friction {title}at low speed", machine)
     curves: dict[int, tuple[Axis, Curve]] = {}
-    seen: dict[int, dict[int, Seen]] = {}
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         known = arm or first_look(bench, lab)
         period = 1e-3 if arm is not None else 1.0 / bench.target.status().rate_hz
         for joint in joints or known.axes:
@@ -99,19 +98,20 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
                 axis = known.axes[joint]
                 motion = triangles(axis, known, cycles, period)
                 rec = _recorded(bench, known, axis, motion)
-                seen[joint] = bench.seen
-                curves[joint] = axis, friction_curve(rec, known, axis, motion)
+                curve = friction_curve(rec, known, axis, motion)
+                curves[joint] = axis, curve
+                _report(result, known, axis, curve)
+                if known.program == PROGRAM:
+                    names = [f"{name}{joint}" for name in ("inertia", "level", "slope")]
+                    seen = bench.seen
+                    widen(result, joint, seen, bench.inertias, names, seen[joint].quick)
+                file = bench.folder / f"curve{joint}.npz"
+                with writing(file):
+                    np.savez(
+                        file, speed=curve.speed, friction=curve.friction, slowing=curve.slowing
+                    )
         refuse_none(result, curves)
         result.recordings, result.target = bench.recordings, bench.where
-        for axis, curve in curves.values():
-            _report(result, known, axis, curve)
-            j = axis.number
-            if known.program == PROGRAM:
-                names = [f"{name}{j}" for name in ("inertia", "level", "slope")]
-                widen(result, j, seen[j], bench.inertias, names, seen[j][j].quick)
-            file = bench.folder / f"curve{axis.number}.npz"
-            with writing(file):
-                np.savez(file, speed=curve.speed, friction=curve.friction, slowing=curve.slowing)
         for number, place in enumerate(known.pose, start=1):
             result.values[f"place{number}"] = Estimate(float(place), 0.0, _unit(known, number))
         result.figure = _draw(curves, cycles, bench)

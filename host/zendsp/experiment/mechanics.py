@@ -66,7 +66,7 @@ def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
         return spun_shaft.mechanical(lab)
     result = Result("mechanical", "Inertia, weight and friction of every joint", name)
     curves: dict[int, tuple[Sliding, Friction]] = {}
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         place, told = standing(bench), bench.machine.joints
         for joint in joints or [j for j, own in enumerate(told, 1) if own.command != "none"]:
             with left_out(result, bench.target, joint):

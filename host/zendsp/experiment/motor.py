@@ -52,7 +52,7 @@ def electrical(lab: Lab) -> Result:
         return of_the_pendulum(lab)
     result = Result("electrical", "Motors of the machine", name)
     runs: dict[int, Runs] = {}
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         for k, own in enumerate([j for j in bench.machine.joints if j.command != "none"]):
             joint = bench.machine.joints.index(own) + 1
             sensors = tuple(inputs_of(bench.machine, unit)[k] for unit in ("A", "V"))
@@ -213,7 +213,7 @@ def of_the_pendulum(lab: Lab, volts: tuple[float, ...] = VOLTS) -> Result:
     """
     result = Result("electrical", "Motor of the pendulum", MACHINE)
     points = []
-    with lab.bench(result.name, drive="voltage", brake=0.0) as bench:
+    with lab.bench(result.name, result, drive="voltage", brake=0.0) as bench:
         for v in volts:
             rec = bench.record(
                 f"{v:+.1f}V",

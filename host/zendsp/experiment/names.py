@@ -19,6 +19,9 @@ FORMER = {
 }
 
 
+ENDED = "result_ended.toml"  # of one that ended early: nothing builds on it
+
+
 def present_name(name: str) -> str:
     """The name that an experiment has now."""
     return FORMER.get(name, name)

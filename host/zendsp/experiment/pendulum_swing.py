@@ -52,7 +52,7 @@ def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0
     # a swing begins at rest, within the bristles: so does the motion that these numbers are of
     fc = from_rest(measured, "theta3")
     recs: dict[str, Recording] = {}
-    with lab.bench(result.name, brake=brake) as bench:
+    with lab.bench(result.name, result, brake=brake) as bench:
         options: dict[str, Any] = {"before": 0.0, "after": AFTER}
         recs["open loop"] = bench.record(
             "open_loop", "pendulum_track.c", CHANNELS, reference=with_friction, kp=0.0, kv=0.0,

@@ -6,6 +6,7 @@ import importlib
 import time
 from collections.abc import Callable
 
+from zendsp.experiment.early_end import forget_early
 from zendsp.experiment.lab import Lab
 from zendsp.experiment.registry import experiment_named
 from zendsp.experiment.result import Result
@@ -44,4 +45,5 @@ def run_experiment(name: str, lab: Lab) -> Result:
     result = make(lab)
     lab.say(f"{now}: done in {time.monotonic() - began:.1f} s")
     result.save(lab.folder / now / "result.toml")
+    forget_early(lab.folder / now)
     return result

@@ -56,7 +56,7 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
     the recorded one.
     """
     result = Result("mechanical", "Inertia, gravity and friction of the pendulum", MACHINE)
-    with lab.bench(result.name, brake=brake) as bench:
+    with lab.bench(result.name, result, brake=brake) as bench:
         another: dict[str, Any] = {"level": 0.34, "a1": 0.08, "a2": -0.1, "w1": 19.0, "w2": 7.0}
         recs = [
             bench.record(

@@ -77,7 +77,7 @@ def swing(lab: Lab) -> Result:
     need("casadi", "swing", "the optimal swing", Refused)  # before anything moves
     measured = with_values(lab, "mechanical", mechanical, NEEDED)
     result = Result("swing", f"Optimal swing of {name}, three ways", name)
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         joint = _joint(measured, bench.machine.joints[0])
         stands = bench.record("where_it_stands", own_program("swing.c"), CHANNELS, seconds=0.05)
         start, goal = _ends(joint, float(stands["q"][0]))

@@ -77,7 +77,7 @@ def tracking(lab: Lab, joints: tuple[int, ...] = (), duration: float = DURATION)
     whose = "the WAM" if wam else name
     result = Result("tracking", f"Joint error of {whose}, machine and simulation", name)
     errors: dict[str, tuple[Array, Array]] = {}
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         if measured is not None:
             model = measured_model(measured, bench.folder)
         assert model is not None  # the bench has asked for one

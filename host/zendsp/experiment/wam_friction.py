@@ -70,19 +70,17 @@ def friction(
             f" intervals need {FEWEST} speeds (two directions of each)"
         )
     result = Result("friction", "Friction maps of the WAM", MACHINE)
-    maps: dict[int, Sliding] = {}
     curves: dict[int, Array] = {}
-    with lab.bench(result.name) as bench:
+    with lab.bench(result.name, result) as bench:
         for joint in joints:
-            maps[joint] = _map(bench, joint, speeds, TRAVEL, f"joint{joint}")
+            wide = _map(bench, joint, speeds, TRAVEL, f"joint{joint}")
+            curves[joint] = _fit_joint(result, joint, wide)
         slow = {
             joint: _map(bench, joint, NARROW, 0.15, f"joint{joint}_narrow")
             for joint in NARROW_JOINTS
             if narrow and joint in joints
         }
         result.recordings, result.target = bench.recordings, bench.where
-        for joint, sliding in maps.items():
-            curves[joint] = _fit_joint(result, joint, sliding)
         for joint, sliding in slow.items():
             _fit_narrow(result, joint, sliding.points(sliding.torque))
         result.figure = save(_draw(curves, result), bench.folder / "friction_maps.png")

@@ -73,6 +73,9 @@ class Link:
         self._waiting: set[zenoh.CancellationToken] = set()
         self.closed = self._forked = False
         self.ended = False  # by itself, as it said
+        self._given_up = False
+        self._safe: bool | None = None  # its machine, as it said at its end
+        self._farewell = threading.Event()
         self.instance = bytes(8)  # of the target that is known
         self._name = os.urandom(8)
         self._requests = itertools.count(1)
@@ -106,13 +109,30 @@ class Link:
 
     def wait_alive(self, timeout: float) -> bool:
         """Wait until the target is reachable. Returns False after ``timeout`` s, or as soon as its
-        process is known to have ended.
+        process is known to have ended, or nobody waits for it any more.
         """
         deadline = time.monotonic() + timeout
         while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
-            if time.monotonic() >= deadline or self.over:
+            if time.monotonic() >= deadline or self._given_up or self.over:
                 return False
         return True
+
+    def farewell(self, timeout: float) -> bool | None:
+        """Whether the machine of a target that has ended is in its safe state, as the target said
+        at its end; None where it said nothing. One that ends is waited for, at most ``timeout`` s.
+        """
+        if self.ended:
+            self._farewell.wait(timeout)
+        return self._safe
+
+    def give_up(self) -> None:
+        """Have requests no longer wait for a lost target to come back, until it does."""
+        self._given_up = not self._alive.is_set()
+
+    @property
+    def given_up(self) -> bool:
+        """Whether the target is lost, and nobody waits for it any more."""
+        return self._given_up
 
     @property
     def over(self) -> bool:
@@ -255,12 +275,12 @@ class Link:
         if self.closed:
             return LinkError(CLOSED.format(name=self.target))
         if not self._alive.is_set() or not self._still_there():
-            how, why = "is gone", " It was killed or is cut off."
-            if self.ended:
-                how, why = "has ended", ""
+            how, why, rows = "has ended", "", ""  # by itself it leaves no rows
+            if not self.ended:
+                how, why, rows = "is gone", " It was killed or is cut off.", self._kept()
             return LinkError(
                 f"target {self.target!r} at {where} {how}: {verb!r} was not answered.{why}"
-                f" The connection comes back by itself if the target does{self._kept()}"
+                f" The connection comes back by itself if the target does{rows}"
             )
         return NoAnswer(
             f"target {self.target!r} at {where} did not answer {verb!r} within {timeout:g} s"
@@ -397,8 +417,14 @@ class Link:
             )
 
     def _liveliness(self, sample: zenoh.Sample) -> None:
-        if str(sample.key_expr) == keys.ended(self.target):
-            self.ended = self.ended or sample.kind == zenoh.SampleKind.PUT
+        key = str(sample.key_expr)
+        if key != keys.alive(self.target):  # what a target says that ends by itself
+            if sample.kind == zenoh.SampleKind.PUT:
+                self.ended = True
+                for safe in (True, False):
+                    if key == keys.farewell(self.target, safe):
+                        self._safe = safe
+                        self._farewell.set()
             return
         if sample.kind == zenoh.SampleKind.DELETE:
             self._alive.clear()
@@ -409,7 +435,9 @@ class Link:
                 request.cancel()  # type: ignore[no-untyped-call]
             return
         again = self._lost.is_set()
-        self.ended = False
+        self.ended = self._given_up = False
+        self._safe = None
+        self._farewell.clear()
         self._lost.clear()
         self._alive.set()
         if again:

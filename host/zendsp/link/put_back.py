@@ -136,5 +136,5 @@ def kept(
     finally:
         with uninterrupted():
             why = before.put_back()
-        if why:
+        if why and not target.link.given_up:  # a lost target puts back by itself
             warnings.warn(why, stacklevel=3)

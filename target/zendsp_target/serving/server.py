@@ -93,6 +93,11 @@ class Server:
         for thread in self._threads:
             thread.join(JOIN_S)
 
+    def say_farewell(self, safe: bool) -> None:
+        """Say, after `close` and last of all, whether the machine is in its safe state."""
+        token = keys.farewell(self.name, safe)
+        self._farewell = self._session.liveliness().declare_token(token)
+
     # requests
 
     def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
