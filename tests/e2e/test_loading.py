@@ -142,7 +142,7 @@ def test_rows_keep_the_program_that_made_them_when_another_is_loaded(fast: Targe
     assert fast.acquire_load().sources == whole.sources
     fast.download("joint_pd.c")
     sources = fast.acquire(["q"], 0.1, start=True).sources
-    assert set(sources) == {"joint_pd.c", "motion.h", "blocked.h"}
+    assert set(sources) == {"joint_pd.c", "motion.h", "blocked.h", "reversal.h"}
 
 
 def test_rows_of_a_program_that_crashed_keep_it_when_another_is_loaded(fast: Target) -> None:

@@ -157,7 +157,8 @@ def test_joint_pd_takes_a_compensation_that_lies_beside_it() -> None:
     model = rotary(effect("coulomb", level=0.2))
     programs = source_root() / "programs"
     own = (programs / "joint_pd.c").read_text()
-    beside = {name: (programs / name).read_text() for name in ("motion.h", "blocked.h")}
+    names = ("motion.h", "blocked.h", "reversal.h")
+    beside = {name: (programs / name).read_text() for name in names}
     found = compensation(model.terms, actuator=model.actuator)
     error = {}
     for share in (0.0, 1.0):

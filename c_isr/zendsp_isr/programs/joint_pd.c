@@ -7,7 +7,8 @@
  * accelerates by 100 rad/s^2.
  *
  * With `stalls` the machine is held where it is as soon as something holds a joint up on its way
- * (blocked.h); `blocked` says which.
+ * (blocked.h); `blocked` says which. With `learns` the integral of a joint that turns round takes the
+ * friction that it moved by to the other side at once (reversal.h).
  *
  * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command,
  * along the reference, as in pd.c.
@@ -30,11 +31,12 @@ static double J[8];   /* kg m^2 (or kg) */
 static double tau[8]; /* N m (or N) */
 static double sum[8]; /* N m, of the integrals */
 static double carried[8];
-static bool stalls;
+static bool stalls, learns;
 static int32_t blocked;
 static double kept[8]; /* rad (or m), where the joints are held once one is blocked */
 static double phase;  /* of the sway, turns */
 #include "blocked.h"
+#include "reversal.h"
 /* amplitude and 1 / period of the sway as they act, and on their way there */
 static double swing[2], pace[2];
 
@@ -53,6 +55,7 @@ void UserInit(void) {
     PARAMETER_FIRST(J, N, "{J}", 1e-12, 1e6, "inertia that each joint turns");
     PARAMETER_FIRST(carried, N, "{tau}", -1e6, 1e6, "that the integrals begin with: a weight");
     PARAMETER(stalls, 0, "", 0, 1, "hold the machine where a joint is blocked");
+    PARAMETER(learns, 0, "", 0, 1, "turn dry friction round with the joint, once it is known");
     SIGNAL_FIRST(tau, N, "{tau}", "commands");
     SIGNAL(blocked, "", "joint that something holds up, from 1; 0: none");
 }
@@ -98,6 +101,11 @@ void UserISR_INT2(void) {
         double wanted =
             stiff * e[j] + 2.0 * damping * J[j] * w * (rd[j] - qd[j]) + sum[j] + tau_ff[j];
         wanted += Compensation(j, r, rd, rdd, wanted);
+        double turned = wanted;
+        if (learns && Reversal(j, &turned)) {
+            sum[j] += turned - wanted;
+            wanted = turned;
+        }
         tau[j] = wanted > most ? most : wanted < -most ? -most : wanted;
         if (!DRIVE_ENABLED || FIRST_SAMPLE)
             sum[j] = carried[j];

@@ -41,7 +41,7 @@ from zendsp.experiment.sliding import (
     found_friction,
 )
 from zendsp.experiment.standing import standing
-from zendsp.experiment.watch import BEARS, LOOP, STIFFER, left_out, widen
+from zendsp.experiment.watch import BEARS, LOOP, STIFFER, Held, left_out, look, widen
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
@@ -52,6 +52,7 @@ Line = tuple[float, float, float, float]  # level, viscous coefficient, their ha
 
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
+ENOUGH = 8  # moves: a line of each direction, the weight and the inertia are seven numbers
 ONE_SIDED = 1.645  # standard deviations, that 5 % are beyond on one side
 
 
@@ -78,21 +79,71 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
         for joint in joints or driven:
             with left_out(result, bench.target, joint):
                 reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
-                turns = all_joints[joint - 1].unit == "rad"
-                sliding, rec = _record(bench, reference, joint, place)
-                sliding, coupled = with_coupling(sliding, turns)
-                found = fit_line(sliding, turns)
-                if ramps := ramped(rec, reference, joint, found):
-                    sliding, found, coupled = surest(sliding, found, coupled, ramps, turns)
-                curves[joint] = (sliding.points(found.free), found)
-                _report(result, joint, all_joints[joint - 1].unit, found)
-                names = [f"{name}{joint}" for name in ("inertia", "coulomb", "viscous")]
-                seen = {k: one for k, one in bench.seen.items() if k not in coupled}
-                widen(result, joint, seen, bench.inertias, names, seen[joint].quick)
+                try:
+                    sliding, rec = _record(bench, reference, joint, place)
+                except BaseException:
+                    _of_part(result, bench, reference, joint)
+                    raise
+                curves[joint] = _found(result, bench, (sliding, rec, reference), joint)
         refuse_none(result, curves)
         result.recordings, result.target = bench.recordings, bench.where
         result.figure = _draw(curves, {i: j.unit for i, j in enumerate(all_joints, 1)}, bench)
     return result
+
+
+def _found(
+    result: Result, bench: Bench, measured: tuple[Sliding, Recording, Reference], joint: int
+) -> tuple[Array, Friction]:
+    """Add a joint's friction to the result; its points and its line.
+
+    Parameters
+    ----------
+    measured : tuple
+        Pieces of its moves, the recording that they are of, and the reference.
+    """
+    sliding, rec, reference = measured
+    unit = bench.machine.joints[joint - 1].unit
+    turns = unit == "rad"
+    sliding, coupled = with_coupling(sliding, turns)
+    found = fit_line(sliding, turns)
+    if ramps := ramped(rec, reference, joint, found):
+        sliding, found, coupled = surest(sliding, found, coupled, ramps, turns)
+    _report(result, joint, unit, found)
+    names = [f"{name}{joint}" for name in ("inertia", "coulomb", "viscous")]
+    seen = {k: one for k, one in bench.seen.items() if k not in coupled}
+    widen(result, joint, seen, bench.inertias, names, seen[joint].quick)
+    return sliding.points(found.free), found
+
+
+def _of_part(result: Result, bench: Bench, reference: Reference, joint: int) -> None:
+    """Add a joint's friction by those of its moves that were made before all ended, where these are
+    enough.
+    """
+    if bench.part is None or bench.part[0].name != f"joint{joint}_ended.npz":
+        return
+    rec = bench.part[1]
+    moves = _steady(reference, joint)
+    last = rec["play_time"].max() / reference.sample_time  # it begins anew where drives are off
+    made = sum(end < last for _, end in moves)
+    if made < ENOUGH:
+        return
+    rows = moves[made - 1][1]
+    played = Reference(
+        reference.q[:rows], reference.sample_time, kind=reference.kind, machine=""
+    )
+    joints = bench.machine.joints
+    bench.seen = look(rec, played, Held.by(played, {}), [own.torque_max for own in joints])
+    sliding = constant_speed_pieces(rec, played, joint, gravity=False)
+    _found(result, bench, (sliding, rec, played), joint)
+    result.warnings.append(
+        f"Joint {joint}: measured by {made} of its {len(moves)} moves, slow ones first."
+    )
+
+
+def _steady(reference: Reference, joint: int) -> list[tuple[int, int]]:
+    """First and last row of each of a joint's moves at constant speed."""
+    pace, turn = reference.qd[:, joint - 1], reference.qdd[:, joint - 1]
+    return stretches((np.abs(turn) < STEADY) & (np.abs(pace) > MOVING))
 
 
 def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: float) -> Reference:
@@ -157,9 +208,8 @@ def _record(
 
 def _shares(sliding: Sliding, reference: Reference, joint: int) -> Array:
     """The speed of each part over that which it was to have."""
-    pace, turn = reference.qd[:, joint - 1], reference.qdd[:, joint - 1]
-    parts = stretches((np.abs(turn) < STEADY) & (np.abs(pace) > MOVING))
-    wanted = np.array([pace[a:b].mean() for a, b in parts])
+    pace = reference.qd[:, joint - 1]
+    wanted = np.array([pace[a:b].mean() for a, b in _steady(reference, joint)])
     which = np.unique(sliding.part)
     return np.asarray(sliding.points(sliding.torque)[:, 0] / wanted[which])
 

@@ -107,7 +107,8 @@ def keep_early(result: Result | None, bench: Bench, error: BaseException) -> str
     if bench.recordings:
         said.append(f"{counted(len(bench.recordings), 'recording')}: {bench.folder}")
     if bench.part is not None:
-        file, seconds = bench.part
+        file, part = bench.part
+        seconds = len(part) * part.sample_time
         said.append(f"{seconds:.3g} s of the one that was cut off: {file}")
     return "; ".join(said) + (_of_the_lost(bench) if isinstance(error, LinkError) else "")
 

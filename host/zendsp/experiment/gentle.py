@@ -210,5 +210,7 @@ def _inertia(gentle: Sliding) -> float | None:
     A = np.stack(
         [gentle.acceleration, np.sign(gentle.speed), gentle.speed, one, gentle.q], axis=1
     )
+    if np.linalg.matrix_rank(A) < A.shape[1]:  # it slid one way only, or at one place
+        return None
     x, half, _ = least_squares(A, gentle.torque)
     return float(x[0]) if half[0] / NORMAL < KNOWN * x[0] else None

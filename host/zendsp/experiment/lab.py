@@ -212,7 +212,7 @@ class Bench:
         self._machine = machine
         self._enabled = enabled  # by somebody: again after each load, which switches them off
         self.recordings: list[str] = []
-        self.part: tuple[Path, float] | None = None  # of one that was cut off; how long it is, s
+        self.part: tuple[Path, Recording] | None = None  # of one that was cut off, and its file
         self.host_lost = HostLost.STOP  # what the target does without this host
         self.loaded: object = None
         self.seen: dict[int, Seen] = {}  # of each joint in the latest recording
@@ -302,7 +302,7 @@ class Bench:
         if program == HOLDS:
             channels = [*channels, "blocked"]
             done = done or _blocked
-            values = {"stalls": True, **values}
+            values = {"stalls": True, "learns": True, **values}
         here = self.held_here()
         if here is not None and "taken" in values:  # push.c
             values |= {"carried": here.tolist(), "taken": True}
@@ -423,7 +423,7 @@ class Bench:
                 recording = self.target.acquire_load(note, patience=LOST_S)
         if recording is not None:
             place, _ = save_anyhow(recording, self.folder / f"{name}_ended.npz")
-            self.part = place, len(recording) * recording.sample_time
+            self.part = place, recording
 
 
 def _blocked(target: Target) -> bool:

@@ -39,30 +39,33 @@ STANDS = 0.5  # of its way: a joint that moves less was to move and did not
 @dataclass(frozen=True)
 class Held:
     """Joints that an experiment holds, by their number from 1, and where; those that move; and the
-    ends of their ways where these are known.
+    ends of their ways and their largest speeds, rad/s or m/s, where these are known.
     """
 
     places: Mapping[int, float]
     moving: tuple[int, ...]
     ways: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    speeds: Mapping[int, float] = field(default_factory=dict)
 
     @classmethod
     def by(cls, reference: Reference | None, values: Mapping[str, Any]) -> Held:
         """What a reference holds, or a push; nothing where neither is given."""
-        ways = {}
+        ways, speeds = {}, {}
         if reference is not None:
             still = np.ptp(reference.q, axis=0) <= 0.0
             first = reference.q[0]
             low, high = reference.q.min(axis=0).tolist(), reference.q.max(axis=0).tolist()
             ends = enumerate(zip(low, high, strict=True), 1)
             ways = {j: way for j, way in ends if not still[j - 1]}
+            speeds = dict(enumerate(np.abs(reference.qd).max(axis=0).tolist(), 1))
         elif "place" in values and "joint" in values:
             first = np.atleast_1d(np.asarray(values["place"], dtype=np.float64))
             still = np.arange(1, len(first) + 1) != values["joint"]
         else:
             return cls({}, ())
         places = {j: float(x) for j, x in enumerate(first, 1) if still[j - 1]}
-        return cls(places, tuple(j for j in range(1, len(first) + 1) if j not in places), ways)
+        moving = tuple(j for j in range(1, len(first) + 1) if j not in places)
+        return cls(places, moving, ways, speeds)
 
 
 @dataclass(frozen=True)
@@ -226,7 +229,18 @@ def _ways(held: Held) -> dict[int, tuple[float, float]]:
 
 
 def _gave_way(trip: Trip, infos: Sequence[JointInfo], held: Held) -> str:
-    """A sentence where a trip is that of a joint that was held, or that left its way; else ""."""
+    """A sentence where a trip is that of a joint that was held, or that left its way, or its speed;
+    else "".
+    """
+    if trip.reason == TripReason.SPEED and trip.joint in held.ways:
+        own = infos[trip.joint - 1]
+        return (
+            f"joint {trip.joint} ({own.name}) was to move at up to"
+            f" {held.speeds[trip.joint]:.3g} {own.unit}/s and came to {abs(trip.value):.3g}, beyond"
+            f" its limit of {trip.limit:.3g}: friction held it where it turns round and let it go, or"
+            " it carries more than its loop holds. Let the machine declare a larger inertia of it"
+            " (its loop is stiffer then), or a larger speed_max if it bears that"
+        )
     if trip.reason != TripReason.POSITION or trip.joint not in _ways(held):
         return ""
     own, (first, last) = infos[trip.joint - 1], _ways(held)[trip.joint]

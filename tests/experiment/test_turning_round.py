@@ -1,0 +1,86 @@
+"""A joint with large dry friction turns round without being held and let go, and what was measured
+of one that is too fast nevertheless is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zendsp
+from zendsp.errors import Refused
+from zendsp.experiment import Lab, Result, run_experiment
+from zendsp.experiment.lab import Bench
+from zendsp.link import Target
+from zendsp.physics import parse_model
+
+ARM = """<mujoco model="dry"><compiler angle="radian"/><worldbody><body pos="0 0 0.4">
+<joint name="j1" axis="0 1 0" range="-1.8 1.8" armature="0.05" damping="0.5" frictionloss="9"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.4" size="0.04" mass="2"/></body></worldbody>
+<actuator><motor joint="j1" ctrlrange="-60 60"/></actuator></mujoco>"""
+DRY = {
+    "name": "dry",
+    "sample_time": 0.001,
+    "sensor": {"position_resolution": 1.6e-5},
+    "actuator": {"delay": 0.001, "limit": 60.0},
+    "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.3}},
+    "effect": [{"kind": "coulomb", "joint": 1, "level": 9.0}],
+}
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Iterator[Target]:
+    (tmp_path / "dry.xml").write_text(ARM)
+    slow = ["--machine-option", "speed_max=0.3", "--machine-option", "substep=5e-4"]
+    with zendsp.local(str(tmp_path / "dry.xml"), clock="fast", options=slow) as target:
+        yield target
+
+
+@pytest.mark.parametrize("name", ["friction", "mechanical"])
+def test_a_slow_joint_with_large_dry_friction_is_measured(
+    name: str, arm: Target, tmp_path: Path
+) -> None:
+    """At a reversal friction held it until the integral let it go at 0.321 of 0.3 rad/s."""
+    found = run_experiment(name, Lab(tmp_path, arm))
+    level, slope = found.values["coulomb1"], found.values["viscous1"]
+    assert abs(level.value - 9.0) < 4.0 * level.std < 0.04
+    assert abs(slope.value - 0.5) < 4.0 * slope.std < 0.4
+
+
+def test_what_was_measured_of_a_joint_is_kept_where_it_trips_on_its_way(
+    arm: Target, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without what the loop learns: nine of twelve moves were made."""
+    real = Bench.record
+    monkeypatch.setattr(
+        Bench, "record", lambda *given, **values: real(*given, learns=False, **values)
+    )
+    lab = Lab(tmp_path, arm)
+    said = r"joint 1 \(j1\) was to move at up to 0.12 rad/s and came to 0.3.*larger inertia"
+    with pytest.raises(Refused, match=said):
+        run_experiment("friction", lab)
+    early = Result.load(tmp_path / "friction" / "result_ended.toml")
+    level = early.values["coulomb1"]
+    assert abs(level.value - 9.0) < 4.0 * level.std < 0.2
+    assert "of its 12 moves" in " ".join(early.warnings)
+    assert "result_ended.toml" in lab.left
+
+
+def swaying(**values: Any) -> zendsp.Recording:
+    """A joint with dry friction that sways."""
+    sway = {"amplitude": 0.2, "period": 4.0, "J": 0.3, **values}
+    model = parse_model(DRY)
+    return zendsp.simulate(
+        "joint_pd.c", model, seconds=20.0, parameters=sway, channels=["e", "tau"]
+    )
+
+
+def test_friction_is_turned_round_once_it_is_known() -> None:
+    alone, learns = (swaying(learns=x) for x in (False, True))
+    late = alone.t > 8.0  # the first reversals show what the friction is
+    assert np.abs(alone["e"][late]).max() > 5.0 * np.abs(learns["e"][late]).max()
+    assert np.abs(learns["tau"][late]).max() < np.abs(alone["tau"][late]).max()
