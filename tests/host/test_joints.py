@@ -69,3 +69,16 @@ def test_a_command_of_speed_is_told_in_what_goes_out() -> None:
 def test_a_notebook_shows_it_as_a_table() -> None:
     html = joints_of(status(), (AXIS, SLIDE), LIMITS)._repr_html_()
     assert "<th>speed limit</th>" in html and "<td>axis</td>" in html
+
+
+def test_a_command_that_a_paused_machine_holds_is_not_shown_as_one_that_acts() -> None:
+    """A simulated machine's time stands: -5 N m of 10 stood there as if they acted."""
+    paused = m.Status(
+        state=ProgramState.PAUSED, io=status().io, drive_mode=DriveMode.TORQUE, homed=True
+    )
+    joint = joints_of(paused, (AXIS, SLIDE), LIMITS)[0]
+    assert math.isnan(joint.command) and joint.held == -5.0
+    assert joint.row()[4:7] == ("none; -5 N m held", "10", "–")
+    io = {**status().io, "aout": to_wire(np.zeros(2))}  # hardware: nothing is held
+    hardware = m.Status(state=ProgramState.PAUSED, io=io, drive_mode=DriveMode.TORQUE, homed=True)
+    assert joints_of(hardware, (AXIS, SLIDE), LIMITS)[0].row()[4] == "none"

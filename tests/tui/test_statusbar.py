@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from textual.app import App, ComposeResult
 
@@ -188,6 +189,24 @@ async def test_the_drives_say_how_much_of_its_range_each_joint_uses() -> None:
     assert max(map(len, lines)) <= 52  # of the panel on 120 columns
     coloured = [told.plain[span.start : span.end].strip() for span in told.spans]
     assert [text for text in coloured if "%" in text] == ["95 %", "105 %"]
+
+
+@pytest.mark.parametrize(
+    "state, line",
+    [
+        ("running", "aout       -393      684.5      1000 mV"),
+        ("paused", "held       -393      684.5      1000 mV, none acts"),
+    ],
+)
+async def test_a_command_that_a_paused_machine_holds_is_not_shown_as_one_that_acts(
+    state: str, line: str
+) -> None:
+    io = {"aout": np.array([-393.0, 684.5, 1000.0])}
+    shown = Snapshot(link="up", state=state, joints=3, io=io)
+    async with _Bar().run_test():
+        told = DrivePanel().flags(shown).plain.splitlines()
+    assert [x.split() for x in told if "mV" in x] == [line.split()]
+    assert max(map(len, told)) <= 52  # of the panel on 120 columns
 
 
 async def test_a_homing_is_told_on_every_screen() -> None:

@@ -237,9 +237,9 @@ def _gave_way(trip: Trip, infos: Sequence[JointInfo], held: Held) -> str:
         return (
             f"joint {trip.joint} ({own.name}) was to move at up to"
             f" {held.speeds[trip.joint]:.3g} {own.unit}/s and came to {abs(trip.value):.3g}, beyond"
-            f" its limit of {trip.limit:.3g}: friction held it where it turns round and let it go, or"
-            " it carries more than its loop holds. Let the machine declare a larger inertia of it"
-            " (its loop is stiffer then), or a larger speed_max if it bears that"
+            f" its limit of {trip.limit:.3g}: friction held it where it turns round and let it go,"
+            " or it carries more than its loop holds. Let the machine declare a larger inertia of"
+            " it (its loop is stiffer then), or a larger speed_max if it bears that"
         )
     if trip.reason != TripReason.POSITION or trip.joint not in _ways(held):
         return ""

@@ -11,6 +11,7 @@ from zendsp.link.listings import Listing
 from zendsp.link.outside import positions
 from zendsp.link.variables import plain
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,10 @@ class Joint:
     position_min: float
     position_max: float
     speed_max: float  # unit/s
-    command: float  # that goes out, in command_unit; NaN where none does
+    command: float  # that acts now, in command_unit; NaN where none does
     command_max: float
     command_unit: str  # N m or N; mV where the drive takes a voltage, or holds a speed
+    held: float = 0.0  # while paused: that a simulated machine, whose time stands, goes on with
 
     def row(self) -> tuple[str, ...]:
         """Name, position with its limits and the share of its range, command with its limit, and
@@ -33,7 +35,9 @@ class Joint:
         """
         inside = f"{self.position_min:g} … {self.position_max:g}"
         stands = f"{self.position:z.4f} {self.unit}" if math.isfinite(self.position) else "unknown"
-        going_out = "none"  # after a crash no program's command acts
+        going_out = "none"  # after a crash, and while paused, no program's command acts
+        if self.held:
+            going_out = f"none; {self.held:z.4g} {self.command_unit} held"
         if math.isfinite(self.command):
             going_out = f"{self.command:z.4g} {self.command_unit}"
         return (
@@ -60,10 +64,12 @@ def joints_of(status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits)
     out = plain(status.io.get("aout", ()))
     out = out if isinstance(out, list | tuple) else [out]
     torque = status.drive_mode == "torque"
+    acts = status.state != ProgramState.PAUSED
     known = positions(status, joints)
     found = []
     for j, joint in enumerate(joints):
         scale = joint.mv_per_torque if torque else 0.0
+        command = float(out[j]) / (scale or 1.0) if j < len(out) else math.nan
         found.append(
             Joint(
                 name=joint.name,
@@ -72,9 +78,10 @@ def joints_of(status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits)
                 position_min=limits.position_min[j],
                 position_max=limits.position_max[j],
                 speed_max=limits.speed_max[j],
-                command=float(out[j]) / (scale or 1.0) if j < len(out) else math.nan,
+                command=command if acts else math.nan,
                 command_max=limits.torque_max[j] if scale else limits.command_max[j],
                 command_unit=("N" if joint.unit == "m" else "N m") if scale else "mV",
+                held=0.0 if acts or math.isnan(command) else command,
             )
         )
     return Joints(cast("tuple[Joint, ...]", found))

@@ -133,14 +133,13 @@ class DrivePanel(Vertical):
             values = s.io.get(name)
             if values is None or len(values) == 0:
                 continue
-            text.append(f"{name:<5}", Style(dim=True))
+            # nothing acts while paused: hardware gets none, and a simulated machine's time stands
+            held = name == "aout" and s.state == ProgramState.PAUSED and any(values)
+            text.append(f"{'held' if held else name:<5}", Style(dim=True))
             text.append(
                 " ".join(f"{number(float(v)):>9}" for v in list(values)[: max(s.joints, 1)])
             )
-            # nothing goes out of hardware while it is paused
-            held = name == "aout" and s.state == ProgramState.PAUSED and any(values)
-            word = f"{unit}, held" if held else unit
-            text.append(f" {word}\n", Style(dim=True))
+            text.append(f" {unit}{', none acts' if held else ''}\n", Style(dim=True))
         if s.scheduling:
             text.append(s.scheduling, Style(dim=True))
         text.rstrip()
