@@ -7,8 +7,8 @@
  * accelerates by 100 rad/s^2.
  *
  * With `stalls` the machine is held where it is as soon as something holds a joint up on its way
- * (blocked.h); `blocked` says which. With `learns` the integral of a joint that turns round takes the
- * friction that it moved by to the other side at once (reversal.h).
+ * (blocked.h); `blocked` says which. With `learns` the integral of a joint that turns round goes to
+ * the other side of its dry friction at once (reversal.h).
  *
  * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command,
  * along the reference, as in pd.c.
