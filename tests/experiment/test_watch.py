@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,6 +97,24 @@ def test_a_held_joint_that_gives_way_ends_the_experiment_at_a_tenth_of_its_range
         driven = rec.t - rec.t[0] <= trip.tick / rate if "ended" in file.name else rec.t >= 0.0
         # rad; 5 mrad: what it swings in a few samples. Then an upright link falls, undriven
         assert np.abs(rec["q"][driven, 1]).max() < 0.065, file.name
+
+
+def test_a_held_joint_that_gives_way_as_a_recording_ends_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recording that was whole by then came without an error, and with other words."""
+    with started(tmp_path, LIGHT) as target:
+        real = target.acquire
+
+        def whole(*given: Any, **values: Any) -> Recording:
+            try:
+                return real(*given, **values)
+            except Incomplete:
+                return target.acquire_load()
+
+        monkeypatch.setattr(target, "acquire", whole)
+        with pytest.raises(Refused, match=r"joint 2 \(b\) was to be held.*acknowledge"):
+            run_experiment("mechanical", Lab(tmp_path, target))
 
 
 def test_after_a_gentle_motion_the_loop_of_a_joint_that_gave_way_is_stiffer(
@@ -257,7 +276,7 @@ def test_a_count_of_a_coarse_encoder_is_no_speed_and_a_speed_beyond_the_limit_st
 def test_what_is_held_follows_from_the_reference_or_the_push() -> None:
     way = np.stack([np.linspace(0.0, 1.0, 50), np.full(50, 0.3)], axis=1)
     held = Held.by(Reference(way, 0.001, kind="x", machine=""), {})
-    assert held == Held({2: 0.3}, (1,), {1: (0.0, 1.0)})
+    assert held == Held({2: 0.3}, (1,), {1: (0.0, 1.0)}, {1: pytest.approx(1000.0 / 49.0)})
     assert Held.by(None, {"joint": 2, "place": [0.1, 0.2]}) == Held({1: 0.1}, (2,))
     assert Held.by(None, {}) == Held({}, ())
 

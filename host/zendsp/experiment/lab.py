@@ -323,9 +323,9 @@ class Bench:
                 )
                 if target.status().state == ProgramState.RUNNING:
                     target.pause()
-            trip = target.status().trip
-            if trip is not None and trip.reason:
-                raise Refused(f"{name}: {ended(trip)}")
+                trip = target.status().trip  # it may trip in the last samples that are wanted
+                if trip is not None and trip.reason:
+                    raise Refused(f"{name}: {ended(trip)}")
         except BaseException as error:
             with uninterrupted(), contextlib.suppress(ZendspError):
                 _stop(target)  # first of all

@@ -57,7 +57,8 @@ class Held:
             low, high = reference.q.min(axis=0).tolist(), reference.q.max(axis=0).tolist()
             ends = enumerate(zip(low, high, strict=True), 1)
             ways = {j: way for j, way in ends if not still[j - 1]}
-            speeds = dict(enumerate(np.abs(reference.qd).max(axis=0).tolist(), 1))
+            fast = enumerate(np.abs(reference.qd).max(axis=0).tolist(), 1)
+            speeds = {j: speed for j, speed in fast if j in ways}
         elif "place" in values and "joint" in values:
             first = np.atleast_1d(np.asarray(values["place"], dtype=np.float64))
             still = np.arange(1, len(first) + 1) != values["joint"]
