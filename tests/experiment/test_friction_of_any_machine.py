@@ -299,22 +299,28 @@ def test_the_line_of_friction_is_that_above_what_creeps_or_falls_near_rest() -> 
         assert slope == pytest.approx(0.4, abs=3 * of_slope) and of_slope < 0.005
 
 
-def test_the_line_of_friction_is_as_uncertain_as_copies_with_other_noise_differ() -> None:
+@pytest.mark.parametrize("alike", [1, 20])
+def test_the_line_of_friction_is_as_uncertain_as_copies_with_other_noise_differ(
+    alike: int,
+) -> None:
     """It ended at the first slower speed that lay off the line of the upper half, most often where
-    that line itself was off: these copies differed by 1.13 times what was stated, those of a slow
-    arm by twice that.
+    that line itself was off: copies with white noise differed by 1.13 times what was stated, those
+    of a slow arm by twice that. Noise that lasts for 20 rows, where a part has 50, makes parts
+    alike: copies differed by 1.11 times what was stated.
     """
     rng = np.random.default_rng(5)
     axis = axis_of(1, JOINT, 0.0, Load(1.0), 2.0)
     v = np.concatenate([s * np.linspace(0.001, 1.0, 1000) * axis.pace for s in (1, -1)])
     copies = []
     for _ in range(300):
-        friction = np.sign(v) * (2.0 + 0.4 * np.abs(v)) + 0.03 * rng.standard_normal(len(v))
+        white = rng.standard_normal(len(v) + alike - 1)
+        noise = np.convolve(white, np.full(alike, alike**-0.5), "valid")
+        friction = np.sign(v) * (2.0 + 0.4 * np.abs(v)) + 0.03 * noise
         copies.append(np.ravel(_line(Curve(v, friction, v != 0.0, Load(1.0)), axis)))
     level, slope, of_level, of_slope = np.array(copies).T
     for found, stated, true in ((level, of_level, 2.0), (slope, of_slope, 0.4)):
         # of 300 the spread is known to 4 %, and where 95 % hold chance leaves out up to 25
-        assert found.std() < 1.1 * stated.mean()
+        assert found.std() < 1.05 * stated.mean()
         assert (np.abs(found - true) > 1.96 * stated).sum() <= 25
 
 
