@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -21,13 +21,26 @@ from zendsp.link.left_moving import DOES
 from zendsp.link.metadata import ticks_of
 from zendsp.recording import Recording
 from zendsp_protocol.messages import AcquireStatus
+from zendsp_protocol.states import HostLost
 from zendsp_protocol.texts import counted
-
-if TYPE_CHECKING:
-    from zendsp.experiment.lab import Bench
 
 FETCH_S = 0.5  # between two looks: no more of a recording ends with its target
 LOST_S = 3.0  # that a link may be lost; a target stops what a lost host moves after 1 s
+
+
+class Bench(Protocol):
+    """What is asked of the bench of an experiment that ends early."""
+
+    target: Target
+    folder: Path
+    recordings: list[str]
+    part: tuple[Path, Recording] | None  # of one that was cut off, and its file
+    host_lost: HostLost  # what the target does without this host
+
+    @property
+    def where(self) -> str:
+        """Target, machine and clock in words."""
+        ...
 
 
 class Fetched:
