@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from zendsp.diagnosis.data.prepare import at_their_poses, prepare, within_samples
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
-from zendsp.diagnosis.transmission.arm_chain import Chain, springs_of
+from zendsp.diagnosis.transmission.arm_chain import Chain, Steps, chain_of, springs_of
 from zendsp.diagnosis.transmission.arm_motion import arm_motion, is_chain, with_springs_at
+from zendsp.diagnosis.transmission.arm_path import path_along
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.other_springs import needed_springs, with_other_spring
 from zendsp.physics.calibration.fit import Data
@@ -200,10 +202,13 @@ def test_the_filter_of_an_arm_says_what_a_dense_one_says() -> None:
     """Also where a sensor rests on a plateau, says nothing, or a torque becomes unsure."""
     rng = np.random.default_rng(3)
     n, every, c, m = 40, 8, 5, 3
-    d = 2 * c
-    A = np.eye(d) + 0.1 * rng.standard_normal((n // every, d, d))
-    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max(axis=1)[:, None, None]
-    G = rng.standard_normal((n // every, d, c))
+    d, poses = 2 * c, n // every
+    A = np.eye(d) + T * np.eye(d, k=c) + np.zeros((poses, 1, 1))
+    eased, bent = rng.standard_normal((poses, c, 2)), 0.1 * rng.standard_normal((poses, 4, 4))
+    motors, links = np.array([2, 0]), np.array([4, 3])
+    twist = np.eye(c)[motors] - np.eye(c)[links]
+    A += np.kron(np.eye(2), eased) @ bent @ np.kron(np.eye(2), twist)
+    G = rng.standard_normal((poses, d, c))
     f, unsure = rng.standard_normal((n, c)), np.zeros((n, c))
     unsure[13:21, 2] = 4.0
     value, half = 2.0 * rng.standard_normal((n, m)), np.zeros((n, m))
@@ -212,8 +217,8 @@ def test_the_filter_of_an_arm_says_what_a_dense_one_says() -> None:
     first, spread, usual = rng.standard_normal(d), rng.uniform(0.5, 2.0, d), np.full(c, 2.0)
     places = np.arange(c)
     chain = Chain(
-        np.zeros((n // every, m, m)), A, G, f, unsure, (value, half, variance), (first, spread),
-        places, usual, 0.01, every,
+        np.zeros((poses, m, m)), Steps(A, G, eased, bent, motors, links), f, unsure,
+        (value, half, variance), (first, spread), places, usual, T, every,
     )  # fmt: skip
     strength = rng.uniform(0.1, 1.0, c)
     x, P, deviance = first, np.diag(spread), 0.0
@@ -231,6 +236,30 @@ def test_the_filter_of_an_arm_says_what_a_dense_one_says() -> None:
     smoothed = chain.smoothed(strength)[0]
     assert smoothed == pytest.approx(deviance, rel=1e-10), "both round"
     assert chain.deviance(strength) == smoothed
+
+
+def test_a_step_of_an_arm_is_the_exponential_of_its_bodies_and_springs(tmp_path: Path) -> None:
+    """In A and G, and in A's few numbers by which the filter goes."""
+    data, model, _ = _prepared(tmp_path, (0, 1))
+    rec = data.records[0]
+    chain = chain_of(path_along(rec, data, model, rec[0].others), model)
+    assert chain is not None
+    c, twist = 4, np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+    pulls = twist.T * STIFFNESS @ twist, twist.T * DAMPING @ twist
+    for pose in (0, 30):
+        steps = chain.steps
+        inverse = np.zeros((c, c))
+        inverse[:2, :2] = np.diag(1.0 / np.array(ROTOR))
+        inverse[2:, 2:] = np.linalg.inv(chain.masses[pose])
+        rate = np.zeros((3 * c, 3 * c))
+        rate[:c, c : 2 * c] = np.eye(c)
+        rate[c : 2 * c] = np.hstack([-inverse @ pulls[0], -inverse @ pulls[1], inverse])
+        whole = expm(T * rate)[: 2 * c]
+        few = np.kron(np.eye(2), steps.eased[pose]) @ steps.bent[pose] @ np.kron(np.eye(2), twist)
+        free = np.eye(2 * c) + T * np.eye(2 * c, k=c)
+        for found in (steps.A[pose], free + few):
+            assert found == pytest.approx(whole[:, : 2 * c], rel=1e-8, abs=1e-10), "rounding"
+        assert steps.G[pose] == pytest.approx(whole[:, 2 * c :], rel=1e-8, abs=1e-12), "rounding"
 
 
 def test_a_rigid_joint_beside_a_spring_has_none(tmp_path: Path) -> None:

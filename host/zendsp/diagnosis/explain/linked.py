@@ -89,12 +89,10 @@ def with_their_links(
     now = _Felt(divided(beneath), parts, first)
     while found := _unseen(now.proposed, "transmission", "measurement") - now.joints:
         tell(Step.ASSEMBLING.says("the links that nobody sees: what the other joints feel"))
-        together = _with_several(machine, now, found)
-        tried = [together] if together else [_with_link(machine, now, joint) for joint in found]
-        fit = [t for t in tried if _explains(t, now)]
-        if not fit:
+        other = _next(machine, now, found)
+        if other is None:
             break
-        now = min(fit, key=lambda t: t.cost)
+        now = other
     explained = now.explained
     swinging = _unseen(explained[1], "transmission")
     # the motion within a measured gap depends on the last digits of its numbers
@@ -117,10 +115,34 @@ def _explains(felt: _Felt, before: _Felt) -> bool:
     return felt.cost[0] < claims + new and felt.cost[1] <= before.cost[1]
 
 
-def _with_several(machine: _Machine, now: _Felt, found: frozenset[int]) -> _Felt | None:
-    """The explanation in which others feel the links behind springs of several joints that all
-    encoders together need; None where these are fewer than two, or it does not claim them or does
-    not pay. One after the other, each spring would take up a part of the others.
+def _next(machine: _Machine, now: _Felt, found: frozenset[int]) -> _Felt | None:
+    """The explanation in which others feel the links of more joints; None where none pays.
+
+    Of several springs all encoders together say which are needed. Where that is one, it comes
+    first: another that it made up costs the search of all joints, and is tried where it fails.
+    """
+    needed = _needed(machine, now, found)
+    if needed is not None:
+        model, joints = needed
+        if len(joints) > 1 and joints > now.joints:
+            felt = _settled(machine, model, joints)
+            if _claims_all(machine, felt) and _explains(felt, now):
+                return felt
+        elif len(joints) == 1 and joints <= found:
+            felt = _with_link(machine, now, *joints)
+            if _explains(felt, now):
+                return felt
+            found = found - joints
+    tried = [_with_link(machine, now, joint) for joint in found]
+    return min((t for t in tried if _explains(t, now)), key=lambda t: t.cost, default=None)
+
+
+def _needed(
+    machine: _Machine, now: _Felt, found: frozenset[int]
+) -> tuple[Model, frozenset[int]] | None:
+    """The model with the springs of several joints that all encoders together need, and these
+    joints; None where there are not several. One after the other, each spring would take up a part
+    of the others.
     """
     model = now.explained[2].improved
     for decision in now.proposed:
@@ -130,11 +152,7 @@ def _with_several(machine: _Machine, now: _Felt, found: frozenset[int]) -> _Felt
     if len(joints) < 2 or not is_chain(now.parts.fit, model, joints):
         return None
     needed = needed_springs(now.parts.fit, model, joints)
-    joints = frozenset(springs_of(needed)) if needed else frozenset()
-    if needed is None or len(joints) < 2 or not joints > now.joints:
-        return None
-    felt = _settled(machine, needed, joints)
-    return felt if _claims_all(machine, felt) and _explains(felt, now) else None
+    return None if needed is None else (needed, frozenset(springs_of(needed)))
 
 
 def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:

@@ -30,6 +30,29 @@ STRENGTHS = (1e-6, 1e2)  # limits of unknown torques, as parts of the usual ones
 
 
 @dataclass(frozen=True)
+class Steps:
+    """x(k + 1) = A x(k) + G f(k), a pose each; and A once more, by its few numbers.
+
+    Attributes
+    ----------
+    A, G : ndarray, shapes (poses, states, states), (poses, states, torques)
+    eased : ndarray, shape (poses, torques, springs)
+        Accelerations by a spring's torque.
+    bent : ndarray, shape (poses, 2 springs, 2 springs)
+        What these torques sum up to over a sample, twice and once, by twists and their rates.
+    motors, links : ndarray, shape (springs,)
+        The places between which a spring is twisted.
+    """
+
+    A: Array
+    G: Array
+    eased: Array
+    bent: Array
+    motors: npt.NDArray[np.intp]
+    links: npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
 class Chain:
     """One recording of an arm. States: positions of the motors, of the links behind springs, then
     the speeds of both; torques act at each.
@@ -38,8 +61,7 @@ class Chain:
     ----------
     masses : ndarray, shape (poses, joints, joints)
         Of the links, one every ``every`` rows.
-    A, G : ndarray, shapes (poses, states, states), (poses, states, torques)
-        x(k + 1) = A x(k) + G f(k)
+    steps : Steps
     torques : ndarray, shape (n, torques)
         Known ones.
     unsure : ndarray, shape (n, torques)
@@ -51,8 +73,7 @@ class Chain:
     """
 
     masses: Array
-    A: Array
-    G: Array
+    steps: Steps
     torques: Array
     unsure: Array
     seen: tuple[Array, Array, Array]  # value, half, variance, (n, joints) each
@@ -87,11 +108,11 @@ class Chain:
         known = np.zeros_like(self.torques)
         pushes = np.sqrt(self._variances(strength)) * rng.standard_normal(known.shape)
         pose = np.arange(n) // self.every
-        moved = np.einsum("kij,kj->ki", self.G[pose], pushes)
+        moved = np.einsum("kij,kj->ki", self.steps.G[pose], pushes)
         states = np.empty((n, len(self.start[0])))
         states[0] = np.sqrt(self.start[1]) * rng.standard_normal(states.shape[1])
         for k in range(n - 1):
-            states[k + 1] = self.A[pose[k]] @ states[k] + moved[k]
+            states[k + 1] = self.steps.A[pose[k]] @ states[k] + moved[k]
         _, half, variance = self.seen
         noise = np.sqrt(np.maximum(variance, 0.0)) * rng.standard_normal(half.shape)
         value = states[:, : half.shape[1]] + noise
@@ -116,13 +137,16 @@ class Chain:
         lib = native()
         p, ffi = lib.doubles, lib.ffi
         (n, c), d, m = torques.shape, len(first), value.shape[1]
-        s2, at = self._variances(strength), np.arange(m, dtype=np.int32)
+        s2, steps = self._variances(strength), self.steps
+        places = [x.astype(np.int32) for x in (np.arange(m), steps.motors, steps.links)]
         z = ffi.new("zf_chain *")
-        z.n, z.d, z.c, z.m, z.every = n, d, c, m, self.every
-        z.A, z.G, z.f, z.s2 = p(self.A), p(self.G), p(torques), p(s2)
+        z.n, z.d, z.c, z.m, z.s = n, d, c, m, len(steps.motors)
+        z.every, z.T, z.f, z.s2 = self.every, self.sample_time, p(torques), p(s2)
+        z.A, z.G, z.eased, z.bent = p(steps.A), p(steps.G), p(steps.eased), p(steps.bent)
         value = np.ascontiguousarray(value)
         z.value, z.half, z.R = p(value), p(self.seen[1]), p(self.seen[2])
-        z.at, z.x0, z.p0 = ffi.cast("int *", ffi.from_buffer(at)), p(first), p(self.start[1])
+        z.at, z.motor, z.link = (ffi.cast("int *", ffi.from_buffer(x)) for x in places)
+        z.x0, z.p0 = p(first), p(self.start[1])
         work = np.empty(m * (d + 2) if out is None else n * (m * (d + 2) + d))
         smoothed = ffi.NULL if out is None else p(out)
         return float(lib.lib.zf_smooth_chain(z, p(work), smoothed))
@@ -145,7 +169,7 @@ def chain_of(path: Path, model: Model) -> Chain | None:
     whole = _with_motors(rec, model, path.masses, links)
     if not np.all(np.isfinite(whole)) or not np.linalg.eigvalsh(whole).min() > 0.0:
         return None
-    A, G = _discrete(whole, springs, links, sample_time)
+    steps = _discrete(whole, springs, links, sample_time)
     torques = np.zeros((rec[0].n, len(rec) + len(springs)))
     unsure = np.zeros_like(torques)
     torques[:, links] = path.at_links
@@ -154,7 +178,7 @@ def chain_of(path: Path, model: Model) -> Chain | None:
     usual = np.array([r.scale.torque for r in rec] + [rec[j - 1].scale.torque for j in springs])
     start = _start(rec, springs, links, path.seen[0][0], torques[0])
     return Chain(
-        path.masses, A, G, torques, unsure, path.seen, start, links, usual, sample_time, path.every
+        path.masses, steps, torques, unsure, path.seen, start, links, usual, sample_time, path.every
     )
 
 
@@ -183,28 +207,45 @@ def _with_motors(
 
 def _discrete(
     whole: Array, springs: Mapping[int, Term], links: npt.NDArray[np.intp], sample_time: float
-) -> tuple[Array, Array]:
-    """A and G of a ``Chain`` whose torques are held over a sample."""
-    c, T = whole.shape[1], sample_time
+) -> Steps:
+    """The steps of bodies under torques that are held over a sample.
+
+    A spring's torque depends on its twist e alone, and e'' on e, e' and on how the torques from
+    outside alone would move it, which is constant over a sample. So the exponential of these says
+    all.
+    """
+    T, c, s = sample_time, whole.shape[1], len(springs)
     inverse = np.linalg.inv(whole)
-    stiff, damping = np.zeros((c, c)), np.zeros((c, c))
-    for joint, term in springs.items():
-        twist = np.zeros(c)
-        twist[joint - 1], twist[links[joint - 1]] = 1.0, -1.0
-        stiff += term.value("stiffness") * np.outer(twist, twist)
-        damping += term.value("damping") * np.outer(twist, twist)
-    rate = np.zeros((len(whole), 3 * c, 3 * c))  # speeds a row: all is of one size
-    rate[:, :c, c : 2 * c] = rate[:, c : 2 * c, 2 * c :] = np.eye(c)
-    rate[:, c : 2 * c, :c] = -(T**2) * inverse @ stiff
-    rate[:, c : 2 * c, c : 2 * c] = -T * inverse @ damping
-    moved = _exponential(rate)
-    moved[:, :, 2 * c :] = moved[:, :, 2 * c :] @ (T**2 * inverse)
-    moved[:, :, c : 2 * c] *= T
-    moved[:, c : 2 * c] /= T
-    return tuple(  # type: ignore[return-value]
-        np.ascontiguousarray(part)
-        for part in (moved[:, : 2 * c, : 2 * c], moved[:, : 2 * c, 2 * c :])
-    )
+    motors = np.array([joint - 1 for joint in springs], np.intp)
+    twist = np.zeros((s, c))
+    twist[np.arange(s), motors], twist[np.arange(s), links[motors]] = 1.0, -1.0
+    eased = inverse @ twist.T
+    felt = twist @ eased
+    stiff = np.array([term.value("stiffness") for term in springs.values()])
+    damping = np.array([term.value("damping") for term in springs.values()])
+    rate = np.zeros((len(whole), 3 * s, 3 * s))  # of e, T e' and T² e'' from outside, a row
+    rate[:, :s, s : 2 * s] = rate[:, s : 2 * s, 2 * s :] = np.eye(s)
+    rate[:, s : 2 * s, :s] = -(T**2) * felt * stiff
+    rate[:, s : 2 * s, s : 2 * s] = -T * felt * damping
+    free = np.eye(3 * s)[: 2 * s]  # without the springs
+    free[:s, s : 2 * s] = free[s:, 2 * s :] = np.eye(s)
+    free[:s, 2 * s :] = 0.5 * np.eye(s)
+    # what the springs' torques sum up to: T times the speeds, and twice, the positions
+    sums = free - _exponential(rate)[:, : 2 * s]
+    sums = np.concatenate([np.linalg.solve(felt, sums[:, i : i + s]) for i in (0, s)], axis=1)
+    sums[:, :, s : 2 * s] *= T
+    sums[:, s:] /= T
+    A, G = np.zeros((len(whole), 2 * c, 2 * c)), np.empty((len(whole), 2 * c, c))
+    A[:] = np.eye(2 * c)
+    A[:, :c, c:] = T * np.eye(c)
+    for i, part in enumerate((slice(0, c), slice(c, 2 * c))):
+        bent = eased @ sums[:, i * s : (i + 1) * s]
+        for j in (0, 1):
+            A[:, part, j * c : (j + 1) * c] -= bent[:, :, j * s : (j + 1) * s] @ twist
+        outside = T**2 * bent[:, :, 2 * s :] @ eased.transpose(0, 2, 1)
+        G[:, part] = (0.5 * T**2, T)[i] * inverse - outside
+    bent = np.ascontiguousarray(sums[:, :, : 2 * s])
+    return Steps(A, G, np.ascontiguousarray(-eased), bent, motors, links[motors])
 
 
 def _exponential(rate: Array) -> Array:
@@ -213,7 +254,7 @@ def _exponential(rate: Array) -> Array:
     halvings = max(0, math.ceil(math.log2(size / 0.5)))
     rate = rate / 2.0**halvings
     out = term = np.broadcast_to(np.eye(rate.shape[-1]), rate.shape)
-    for k in range(1, 10):  # 0.5^10 / 10!: rounding
+    for k in range(1, 14):  # 0.5^14 / 14!: rounding
         term = term @ rate / k
         out = out + term
     for _ in range(halvings):
