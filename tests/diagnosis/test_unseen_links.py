@@ -108,3 +108,31 @@ def test_springs_that_all_encoders_need_are_explained_together(
     monkeypatch.setattr(linked._Felt, "lacking", frozenset())
     parts, (_, decisions, _) = _ask(first)
     assert parts.felt == frozenset({1, 2}) and [len(d.claims) for d in decisions] == [1, 1]
+
+
+@pytest.mark.parametrize("pays", [True, False])
+def test_the_spring_that_all_encoders_need_is_explained_before_one_that_it_made_up(
+    pays: bool, felt: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six joints whose third hangs on a spring: that of the second, which was none, took 107 of
+    204 s.
+    """
+    first = _explained(_decision(1, 1), _decision(2, 1))
+    asked = []
+
+    def explain(parts: Any, *_: Any) -> Any:
+        asked.append(set(parts.felt))
+        return felt[parts.felt][0]
+
+    felt[frozenset({1})] = _explained(_decision(1, 1), _decision(2, 0)), -35.7 if pays else -33.0
+    felt[frozenset({2})] = _explained(_decision(1, 0), _decision(2, 1)), -35.8
+    felt[frozenset()] = first, -34.0
+    monkeypatch.setattr(linked, "explain", explain)
+    monkeypatch.setattr(linked, "is_chain", lambda *_: True)
+    monkeypatch.setattr(linked, "springs_of", lambda _: frozenset({1}))
+    monkeypatch.setattr(linked, "needed_springs", lambda _, model, __: model)
+    monkeypatch.setattr(linked, "_springs_after", lambda *_: None)
+    monkeypatch.setattr(linked._Felt, "lacking", frozenset())
+    parts, _ = _ask(first)
+    assert parts.felt == frozenset({1} if pays else {2})
+    assert asked == ([{1}] if pays else [{1}, {2}])

@@ -75,8 +75,8 @@ RIVAL = 0.5  # of that: where another mechanism's variables predict as much, nei
 # one case
 A_PART = 0.5
 # of a stiffness, a standard deviation beside that of the fit where another joint of an arm has a
-# spring, too: six of three arms were off by -4.5 to 2.8 %, 2.5 % RMS, and by up to 6.3 deviations
-SPRINGS_SHIFT = 0.025
+# spring, too: six of three arms were off by -0.2 to 2.1 %, 1.1 % RMS
+SPRINGS_SHIFT = 0.012
 # of a wave's order and amplitude: a wave that differs by less is its twin. Two ripples of a torque
 # constant gave such pairs, 0.7 and 0.1 % apart
 TWINS = 0.05
