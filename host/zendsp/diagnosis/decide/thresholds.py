@@ -75,7 +75,7 @@ RIVAL = 0.5  # of that: where another mechanism's variables predict as much, nei
 # one case
 A_PART = 0.5
 # of a stiffness, a standard deviation beside that of the fit where another joint of an arm has a
-# spring, too: six of three arms were off by -0.2 to 2.1 %, 1.1 % RMS
+# spring, too: eight of four arms were off by -1.9 to 2.1 %, 1.2 % RMS
 SPRINGS_SHIFT = 0.012
 # of a wave's order and amplitude: a wave that differs by less is its twin. Two ripples of a torque
 # constant gave such pairs, 0.7 and 0.1 % apart
