@@ -11,7 +11,7 @@ from dataclasses import replace
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence, likely_enough, stated
-from zendsp.diagnosis.decide.law_torque import kept_laws, kind_of, law_leaves, rubs
+from zendsp.diagnosis.decide.law_torque import has, kept_laws, kind_of, law_leaves, rubs
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
 from zendsp.diagnosis.decide.near import ANOTHER, LEAVES_MORE, TWIN, doubt
 from zendsp.diagnosis.decide.patchwork import (
@@ -59,6 +59,12 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     ]
     likely, alone, ahead, fell = _standing(likely, decision, parts, given, jobs)
     first = _may_lack_a_law(ahead, decision, parts)
+    if first is not None and _new_and_common(first, given):
+        doubted = [c for c in decision.claims if c is not first and not any(c is k for k in likely)]
+        drawn = [replace(c, effect="unknown") for c in doubted if c.mechanism in FRICTION]
+        beside = _standing([first, *likely, *drawn], decision, parts, given, jobs)
+        if drawn and id(first) in beside[2]:
+            (likely, alone, ahead, fell), first = beside, None
     others = [c for c in decision.claims if c is not first and id(c) in fell]
     lawless = False
     if first is not None and others:  # they may stand beside its mechanism
@@ -95,6 +101,15 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     rubbing = {c.mechanism for c in keep if c.effect != "unknown"} & set(FRICTION)
     keep = [c if rubbing else by_its_variables(c, decision, parts, given) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
+
+
+def _new_and_common(claim: Claim, given: Model) -> bool:
+    """Whether a claimed friction is one that every machine has, and the given model has none. What
+    a friction of the other kind, of which no law is likely, leaves to its variables is not its own.
+    """
+    if claim.effect == "unknown" or not get_effect(claim.effect).common:
+        return False
+    return claim.mechanism in FRICTION and not has(given, claim.mechanism, claim.term.joint)
 
 
 def _may_lack_a_law(lawful: Collection[int], decision: Decision, parts: Parts) -> Claim | None:

@@ -79,7 +79,7 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
     """A friction without a law as dry or fluid, by the variables that predict it beside what
     calibration absorbed: fluid where no step at standstill is needed, which reversals show. A
     steep rise looks like a step, and a soft step like none, so neither is sure. Unchanged where its
-    own law, though not named, leaves nothing, or predicts more than any function of the other
+    own law, though not named, leaves nothing, or little more than any function of the other
     friction's variables does.
     """
     if claim.effect != "unknown" or claim.mechanism not in FRICTION:
@@ -92,8 +92,9 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
     of = {m: structure(parts.each, model, joint, [m, TAKEN]) for m in FRICTION}
     steps = of[FLUID].size < (1.0 - LAW_ERROR) * of[DRY].size and not _rises(given, decision)
     name = DRY if steps else FLUID
-    law_predicts = 1.0 - (decision.bare.value / claim.size) ** 2  # of the missing energy
-    if claim.term.effect != "unknown" and law_predicts > of[name].share:
+    # of what its own law leaves a free function has to predict most, too
+    law_leaves = (decision.bare.value / claim.size) ** 2
+    if claim.term.effect != "unknown" and 1.0 - of[name].share > (1.0 - PREDICTED) * law_leaves:
         name = claim.mechanism
     claim = replace(claim, most=min(claim.most, STEEP if name == DRY else SOFT))
     if name == claim.mechanism:
