@@ -120,6 +120,31 @@ def test_a_doubted_stribeck_curve_of_a_model_without_dry_friction_is_coulomb_fri
         assert [c.effect for c in found.refinements] == ["stribeck"]
 
 
+@pytest.mark.parametrize(("given", "named"), [((), "coulomb"), (("coulomb",), "unknown")])
+def test_a_missing_coulomb_friction_stands_beside_a_fluid_one_without_a_law(
+    given: tuple[str, ...], named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """EMPS, given its mass and viscous friction and nothing else, lacked "a fluid friction" (75 %),
+    since its viscous friction has another number each way, and so left more than Coulomb may.
+    """
+    dry, drag = (
+        replace(claim_of(Term(e, 1, {}), size), laws={e: 1.0})
+        for e, size in (("coulomb", 0.15), ("viscous_asymmetry", 0.06))
+    )
+    drawn = [dry.term, drag.term]
+    monkeypatch.setattr(believed, "_is_likely", lambda c, *_: c is dry)
+    monkeypatch.setattr(believed, "_goes_on", lambda *_: np.inf)
+    monkeypatch.setattr(believed, "_without_others", lambda claims, *_: [c.term for c in claims])
+    monkeypatch.setattr(believed, "_hid", lambda _claim, terms, *_: terms != drawn)
+    for name in ("told_apart", "_turns_otherwise"):
+        monkeypatch.setattr(believed, name, lambda *_, so=name == "told_apart": so)
+    monkeypatch.setattr(believed, "_beside_doubted", lambda *_: {})
+    monkeypatch.setattr(believed, "by_its_variables", lambda c, *_: c)
+    found = replace(of_one_claim(dry, 0.2, 0.02), claims=(dry, drag))
+    outcome = believed.believed(found, None, model(*given), 1)  # type: ignore[arg-type]
+    assert outcome.claims[0].effect == named
+
+
 def test_a_fluid_friction_without_a_law_keeps_its_name_beside_a_dry_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

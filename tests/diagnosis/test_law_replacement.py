@@ -318,14 +318,16 @@ def test_friction_that_drives_dry_to_zero_and_viscous_up_is_fluid(
 
 @pytest.mark.parametrize(
     ("left", "share", "name"),
-    [(0.001, 0.999, "dry_friction"), (0.01, 0.97, "dry_friction"), (0.01, 0.995, "fluid_friction")],
-)
-def test_a_friction_keeps_the_mechanism_of_a_law_that_no_function_of_the_other_surpasses(
+    [(0.001, 0.999, "dry_friction"), (0.01, 0.97, "dry_friction"), (0.01, 0.992, "dry_friction"),
+     (0.01, 0.997, "fluid_friction")],
+)  # fmt: skip
+def test_a_friction_keeps_the_mechanism_of_a_law_that_no_function_of_the_other_far_surpasses(
     left: float, share: float, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A dry friction over the place, of a period longer than the travel, was a fluid one; and a
     resistance of the cube of speed a dry one, though a drag left 2 to 5 % of its energy and all
-    functions of the variables of dry friction 9 to 17 %.
+    functions of the variables of dry friction 9 to 17 %. Coulomb friction of EMPS left 2.1 %, and a
+    free function of the speed 1.8 %: it was a fluid friction.
     """
     sizes = {"dry_friction": 0.09, "fluid_friction": 0.09}
     monkeypatch.setattr(nameless, "structure", lambda *a: Structure(sizes[a[3][0]], share, 5.0))
