@@ -169,3 +169,30 @@ def test_several_mechanisms_without_a_law_are_claimed_as_one_torque(
     monkeypatch.setattr(decision, "believed", doubled)
     d = decided(reality.Machine(swirl=0.02))
     assert d.verdict != "complete" and len(d.findings) <= 1
+
+
+@pytest.mark.parametrize(
+    ("seed", "begins", "effect", "noted"),
+    [(1, 0.0, "unknown", True), (1, 2.0, "unknown", True), (2, 0.0, "unknown", False),
+     (1, 0.0, "coulomb", False)],
+)  # fmt: skip
+def test_a_torque_without_a_law_judged_on_the_same_motion_again_is_noted(
+    seed: int, begins: float, effect: str, noted: bool
+) -> None:
+    """A hand that led a joint was a fluid friction (75 %); the held-out chirp was the same."""
+
+    def record(name: str, seed: int, begins: float) -> Any:
+        q = reality.multisine(10.0, 100.0, seed)[round(100 * begins) :]
+        motion = SimpleNamespace(states=q[None])
+        return SimpleNamespace(
+            began=begins, sample_time=0.01, n=len(q), recording=name, motion=motion
+        )
+
+    fit, test = (SimpleNamespace(records=[[r]]) for r in (
+        record("run1.csv", 1, 0.0), record("run2.csv", seed, begins)
+    ))  # fmt: skip
+    parts: Any = SimpleNamespace(fit=fit, test=test)
+    decision: Any = SimpleNamespace(joint=1, claims=[SimpleNamespace(effect=effect)])
+    told = notes.repeated([decision], parts)
+    assert bool(told) is noted
+    assert all("run2.csv repeats the motion of run1.csv" in note for note in told)

@@ -31,7 +31,7 @@ from zendsp.diagnosis.decide.detectable_push import detectable_pushes
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.naming import name_findings
-from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of
+from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of, repeated
 from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.outcome import doubted, errors_of, left_at, verdict_of, where_and_when
 from zendsp.diagnosis.decide.propose import experiment_of, propose
@@ -230,7 +230,7 @@ def _with_zeros_given(
     notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]
     seen = (*looked.seen, *(d for m in found.measured for d in m.detectable), *alone)
     own, *others = errors_of(parts, (given, whole.calibrated, improved))
-    notes += [*said(alone), *notes_of(decisions, given), *clocks]
+    notes += [*said(alone), *notes_of(decisions, given), *repeated(decisions, parts), *clocks]
     notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict, listed, spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
@@ -28,6 +30,7 @@ APART = 10.0
 # recording is short. Where the model does not follow, the user is told so
 ONE_WAY, SHORT = 0.05, 5.0
 AHEAD = 0.2  # ms: fits of friction that has no lead ended at 0 to 0.11
+REPEATS = 0.05  # of the motion: two recordings that differ by less are of one motion
 SLOW_ROWS = 0.004  # s: loops are seldom slower
 
 
@@ -42,6 +45,35 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
         *_all_for_the_load(decisions, given),
         *_other_loads(decisions),
     ]
+
+
+def repeated(decisions: Sequence[Decision], parts: Parts) -> list[str]:
+    """The note where a torque without a law was judged on a recording that repeats the motion of
+    one that was fitted to.
+    """
+    return [
+        f"joint {d.joint}: {held} repeats the motion of {own}, and so whatever follows the time of"
+        " that motion, as a hand does: of the torque without a law it does not tell. Hold out"
+        " another motion"
+        for d in decisions
+        if any(c.effect == "unknown" for c in d.claims)
+        for held, own in _pairs(parts, d.joint)[:1]
+    ]
+
+
+def _pairs(parts: Parts, joint: int) -> list[tuple[str, str]]:
+    """Untouched recordings of the same motion as one of the fit, and that one."""
+    found = []
+    for test, fit in itertools.product(parts.test.records, parts.fit.records):
+        held, own = test[joint - 1], fit[joint - 1]
+        into = round((held.began - own.began) / own.sample_time)
+        n = min(held.n, own.n - into)
+        if into < 0 or n < SHORT / own.sample_time or held.recording == own.recording:
+            continue
+        a, b = held.motion.states[0][:n], own.motion.states[0][into : into + n]
+        if float(np.std(a - b)) < REPEATS * float(np.std(b)):
+            found.append((held.recording, own.recording))
+    return found
 
 
 def _felt(decisions: Sequence[Decision], given: Model) -> list[str]:
