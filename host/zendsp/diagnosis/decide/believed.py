@@ -60,8 +60,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     likely, alone, ahead, fell = _standing(likely, decision, parts, given, jobs)
     first = _may_lack_a_law(ahead, decision, parts)
     if first is not None and _new_and_common(first, given):
-        doubted = [c for c in decision.claims if c is not first and not any(c is k for k in likely)]
-        drawn = [replace(c, effect="unknown") for c in doubted if c.mechanism in FRICTION]
+        drawn = _other_friction(first, likely, decision)
         beside = _standing([first, *likely, *drawn], decision, parts, given, jobs)
         if drawn and id(first) in beside[2]:
             (likely, alone, ahead, fell), first = beside, None
@@ -110,6 +109,12 @@ def _new_and_common(claim: Claim, given: Model) -> bool:
     if claim.effect == "unknown" or not get_effect(claim.effect).common:
         return False
     return claim.mechanism in FRICTION and not has(given, claim.mechanism, claim.term.joint)
+
+
+def _other_friction(first: Claim, likely: Sequence[Claim], decision: Decision) -> list[Claim]:
+    """The other claims of friction whose laws are unlikely, as mechanisms that they only draw."""
+    unlikely = (c for c in decision.claims if c is not first and not any(c is k for k in likely))
+    return [replace(c, effect="unknown") for c in unlikely if c.mechanism in FRICTION]
 
 
 def _may_lack_a_law(lawful: Collection[int], decision: Decision, parts: Parts) -> Claim | None:
