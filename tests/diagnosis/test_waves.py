@@ -15,7 +15,6 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.decide.claims import Piece
 from zendsp.diagnosis.decide.rivals import _ripples
-from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.search import forward
@@ -127,5 +126,4 @@ def _alike_to_a_ripple(data: Any, model: Any, law: str) -> bool:
     evidence = Evidence(0.5 * (base.deviance - found.scored.deviance), 9.0, np.zeros(1))
     piece = Piece("position_torque", (term,), base, 0.1, evidence, 9.0)
     parts: Any = SimpleNamespace(fit=data, choose=data)
-    after = discrepancy(data, found.scored.model, 1).value
-    return _ripples(parts, rounds, found.scored, piece, piece, after)
+    return _ripples(parts, rounds, found.scored, piece, piece)

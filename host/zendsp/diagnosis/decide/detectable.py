@@ -165,7 +165,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         stands = is_supported(effect, have)  # or no search tries it
         trace = traces[effect.aliases]
         term = _smallest(trace, name, implant.energy, beyond * scale) if stands else None
-        size, torque = _worst(implant, effect, term, beyond)
+        size, torque = _worst(implant, effect, term, beyond, screen.records[0])
         least = _least(effect, screen.records[0])
         size, torque = max(size, least), torque * max(1.0, least / size)
         parameter = effect.parameter(_key(effect))
@@ -192,17 +192,22 @@ def _least(effect: Effect, record: JointRecord) -> float:
 
 
 def _worst(
-    implant: _Implant, effect: Effect, term: Term | None, beyond: float
+    implant: _Implant, effect: Effect, term: Term | None, beyond: float, record: JointRecord
 ) -> tuple[float, float]:
-    """The size from which on an effect is seen, and its torque: at the worst of its points, and a
-    quarter period from it.
+    """The size from which on an effect is seen, and its torque: at the worst of its points by a
+    linear estimate; and from there a quarter period from it, or at the other neutral points.
     """
-    size = NOT_SEEN if term is None else implant.seen(term, beyond)
-    phase = phase_of(effect)
-    if term is None or size == NOT_SEEN or not phase:
-        return size
-    across = term.value(phase) + 0.5 * math.pi
-    return implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
+    found = NOT_SEEN if term is None else implant.seen(term, beyond)
+    if term is None:
+        return found
+    phase, key = phase_of(effect), _key(effect)
+    others = [{phase: term.value(phase) + 0.5 * math.pi}] if phase else []
+    if "neutral" in effect.grid:
+        others = [{"neutral": p["neutral"]} for p in grid_of(effect, record, implant.final.model)]
+    for at in others:
+        if found != NOT_SEEN:
+            found = implant.seen(_set(term, {key: found[0], **at}), beyond)
+    return found
 
 
 def _screened(part: Data, decision: Decision, jobs: int) -> tuple[Fit, Screen]:
