@@ -18,6 +18,7 @@ from zendsp.diagnosis.decide import believed, notes, nothing_named
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import propose as proposal
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import unknown_chart
@@ -174,7 +175,7 @@ def test_several_mechanisms_without_a_law_are_claimed_as_one_torque(
 @pytest.mark.parametrize(
     ("seed", "begins", "effect", "noted"),
     [(1, 0.0, "unknown", True), (1, 2.0, "unknown", True), (2, 0.0, "unknown", False),
-     (1, 0.0, "coulomb", False)],
+     (1, 0.0, "coulomb", False), (1, 0.0, "", True)],
 )  # fmt: skip
 def test_a_torque_without_a_law_judged_on_the_same_motion_again_is_noted(
     seed: int, begins: float, effect: str, noted: bool
@@ -192,7 +193,8 @@ def test_a_torque_without_a_law_judged_on_the_same_motion_again_is_noted(
         record("run1.csv", 1, 0.0), record("run2.csv", seed, begins)
     ))  # fmt: skip
     parts: Any = SimpleNamespace(fit=fit, test=test)
-    decision: Any = SimpleNamespace(joint=1, claims=[SimpleNamespace(effect=effect)])
+    kind = Verdict.MISSING if effect else Verdict.UNEXPLAINED
+    decision: Any = SimpleNamespace(joint=1, kind=kind, claims=[SimpleNamespace(effect=effect)])
     told = notes.repeated([decision], parts)
     assert bool(told) is noted
     assert all("run2.csv repeats the motion of run1.csv" in note for note in told)

@@ -17,6 +17,7 @@ import pytest
 import zendsp
 from zendsp.errors import ModelError, Refused, Unmeasured
 from zendsp.experiment import Estimate, Lab, Result, push
+from zendsp.experiment.any_friction import _holding_none
 from zendsp.experiment.breakaway import Push, Pushes, _report_stiffness, breakaway
 from zendsp.experiment.circle import circle
 from zendsp.experiment.friction_curve import friction_curve
@@ -261,6 +262,24 @@ def test_a_weight_is_found_beside_friction_of_any_shape_and_none_where_there_is_
     both = measured_load(moved((4.0, 9.0), 0.6), axis)
     assert both.uneven == pytest.approx(0.6, abs=4 * both.weight_std)
     assert both.weight(np.array([0.6]))[0] == pytest.approx(8.385, abs=4 * both.weight_std)
+
+
+def test_a_weight_that_uneven_friction_hides_is_not_excluded() -> None:
+    """A weight of 3.9 N m beside a friction that varies along the way was 0.00 +- 0.60."""
+    parts = [
+        p._replace(tau=p.tau + 1.5 * np.sin(9.0 * p.q) * np.sign(p.qd))
+        for p in moved((0.5, 1.5), 0.0)
+    ]
+    found = measured_load(parts, axis_of(1, JOINT, 0.6, Load(1.0), 2.0))
+    assert not found.weighs
+    assert abs(0.5 - found.cos) < 2.0 * found.cos_std
+    assert abs(1.5 - found.sin) < 2.0 * found.sin_std
+    assert abs(0.3 - found.inertia) < 2.0 * found.inertia_std
+
+
+def test_a_weight_that_is_not_kept_is_within_the_interval_of_none() -> None:
+    assert _holding_none((3.92, 0.8))[1] > 3.92
+    assert _holding_none((-3.92, 0.8)) == _holding_none((3.92, 0.8))
 
 
 def test_what_a_loop_answers_to_the_noise_of_its_encoder_is_no_inertia() -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,12 @@ import pytest
 
 import zendsp
 from zendsp.errors import Refused
-from zendsp.experiment import Lab, Result, run_experiment
+from zendsp.experiment import Lab, Result, gentle, run_experiment
 from zendsp.experiment.lab import Bench
+from zendsp.experiment.watch import BEARS, LOOP
 from zendsp.link import Target
 from zendsp.physics import parse_model
+from zendsp_protocol.messages import JointInfo
 
 ARM = """<mujoco model="dry"><compiler angle="radian"/><worldbody><body pos="0 0 0.4">
 <joint name="j1" axis="0 1 0" range="-1.8 1.8" armature="0.05" damping="0.5" frictionloss="9"/>
@@ -84,3 +87,25 @@ def test_friction_is_turned_round_once_it_is_known() -> None:
     late = alone.t > 8.0  # the first reversals show what the friction is
     assert np.abs(alone["e"][late]).max() > 5.0 * np.abs(learns["e"][late]).max()
     assert np.abs(learns["tau"][late]).max() < np.abs(alone["tau"][late]).max()
+
+
+def test_a_loop_is_no_stiffer_than_its_sampling_bears_at_the_declared_inertia(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Friction that depends on the place had looked like 21 times the inertia: the command went
+    from one limit to the other 175 times a second, for 50 s.
+    """
+    own = JointInfo(
+        name="j", unit="rad", position_min=-2.0, position_max=2.0, speed_max=1.0, torque_max=30.0
+    )
+    rec = SimpleNamespace(parameters={"J": [0.313]})
+    bench: Any = SimpleNamespace(
+        machine=SimpleNamespace(joints=[own]), inertias=np.array([0.313]), seen={},
+        target=SimpleNamespace(status=lambda: SimpleNamespace(rate_hz=1000.0)),
+        record=lambda *_, **__: rec,
+    )  # fmt: skip
+    for name, value in (("_followed", 1.0), ("firmer", []), ("weak_pieces", None)):
+        monkeypatch.setattr(gentle, name, lambda *_, v=value: v)
+    monkeypatch.setattr(gentle, "_inertia", lambda _: 6.6)
+    taken, found = gentle.gentle_first(bench, 1, np.zeros(1), 0.0, 1.0)
+    assert found == 6.6 and LOOP * taken[0] / 0.313 == pytest.approx(BEARS * 1000.0)

@@ -277,8 +277,8 @@ def fit_line(sliding: Sliding, may_weigh: bool) -> Friction:
         widest = max(plain.inertia[1], found.inertia[1])
         found = replace(
             plain, value=value, mean=_holding(plain.mean, found.mean),
-            weight_half=found.weight_half, sine=(0.0, found.sine[1]),
-            cosine=(0.0, found.cosine[1]), inertia=(plain.inertia[0], widest),
+            weight_half=found.weight_half, sine=_holding_none(found.sine),
+            cosine=_holding_none(found.cosine), inertia=(plain.inertia[0], widest),
         )
     both = (*plain.value.values(), *found.value.values())
     if not any(level + half < 0.0 for level, _, half, _ in both):
@@ -325,6 +325,11 @@ def _holding(line: Line, other: Line) -> Line:
     apart = abs(level - other[0]), abs(viscous - other[1])
     one = ONE_SIDED / NORMAL
     return level, viscous, max(half, apart[0] + one * other[2]), max(dv, apart[1] + one * other[3])
+
+
+def _holding_none(part: tuple[float, float]) -> tuple[float, float]:
+    """No weight, with an interval that holds the one that was found, and half width."""
+    return 0.0, abs(part[0]) + ONE_SIDED / NORMAL * part[1]
 
 
 def _even(found: Friction) -> Friction:

@@ -15,7 +15,7 @@ from zendsp.errors import Unmeasured
 from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, smoothed
 from zendsp.experiment.lab import Bench, playing
 from zendsp.experiment.sliding import ACTS, Sliding, held_turns
-from zendsp.experiment.watch import STIFFER, firmer
+from zendsp.experiment.watch import BEARS, LOOP, STIFFER, firmer
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
@@ -103,7 +103,10 @@ def gentle_first(
         inertias[[j - 1 for j in firm]] *= STIFFER
         rec = moved(J=inertias)
     found = _inertia(weak_pieces(rec, moves, joint)) or 0.0
-    inertias[joint - 1] = max(inertias[joint - 1], found)
+    # a friction that depends on the place may look like an inertia: the sampling has to bear the
+    # loop at the declared one, too
+    borne = BEARS * rate / LOOP * bench.inertias[joint - 1]
+    inertias[joint - 1] = max(inertias[joint - 1], min(found, borne))
     return inertias, found
 
 

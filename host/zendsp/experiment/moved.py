@@ -99,8 +99,11 @@ def measured_load(parts: Sequence[Moved], axis: Axis) -> Load:
         flat = float(x[-1]) if drives or abs(x[-1]) > 2.0 * std[1] else 0.0
         return Load(float(x[KNOTS]), flat=flat, **_stds(std))
     y, std_y, squares_y = solved(turning, slice(0, 2))
-    if not drives and not _more(squares, squares_y, free - KNOTS - 3):
-        return Load(float(x[KNOTS]), **_stds(std))
+    if not drives and not _more(squares, squares_y, free - KNOTS - 3):  # and it is not excluded
+        weight = y[KNOTS + 1 :]
+        most = float(np.abs(turning @ weight).max())
+        held = np.hypot(std_y, [y[KNOTS] - x[KNOTS], most, 0.0, 0.0, *weight])
+        return Load(float(x[KNOTS]), **_stds(np.array([*np.maximum(std[:4], held[:4]), *held[4:]])))
     z, std_z, squares_z = solved(np.hstack([turning, one]), slice(0, 2))
     uneven = abs(z[-1]) < float(np.min(z[:KNOTS])) and _more(squares_y, squares_z, free - KNOTS - 4)
     best, half = (z, std_z) if uneven else (y, std_y)

@@ -56,7 +56,7 @@ def repeated(decisions: Sequence[Decision], parts: Parts) -> list[str]:
         " that motion, as a hand does: of the torque without a law it does not tell. Hold out"
         " another motion"
         for d in decisions
-        if any(c.effect == "unknown" for c in d.claims)
+        if d.kind is Verdict.UNEXPLAINED or any(c.effect == "unknown" for c in d.claims)
         for held, own in _pairs(parts, d.joint)[:1]
     ]
 

@@ -27,15 +27,12 @@ from zendsp.diagnosis.measure.likelihood import (
 )
 from zendsp.diagnosis.search.hypothesis import with_numbers
 from zendsp.physics.calibration.fit import Data, fit
-from zendsp.physics.calibration.joint import facts
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model
 
 LOSSY = 0.2  # of critical damping
 DAMPED = (0.05, 0.5)  # of critical damping: a contact outside this range starts again at LOSSY
-# of the travel, and standard deviations of the sensor: from a smaller gap no move leads to an open
-# one
-CLOSED, HIDDEN = 1e-4, 10.0
+CLOSED = 1e-4  # of the travel: from a smaller gap no move leads to an open one
 GAP_ROUNDS = 3
 PROGRESS = 50.0  # deviance: a round that gains less has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
@@ -62,10 +59,8 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
     jobs : int
         Threads.
     """
-    known = facts(scored.data.records[0][joint - 1])
-    if _values(scored.model, joint)["gap"] < min(
-        CLOSED * known.scale.position, HIDDEN * known.sensor
-    ):
+    travel = max(rec[joint - 1].scale.position for rec in scored.data.records)
+    if _values(scored.model, joint)["gap"] < CLOSED * travel:
         return scored
     best = min(scored, descend(lossy(scored, joint, jobs), joint, jobs), key=lambda s: s.deviance)
     for _ in range(GAP_ROUNDS):
