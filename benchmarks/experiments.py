@@ -136,10 +136,12 @@ class Quick(Lab):
     """A lab whose machines integrate with longer steps."""
 
     @contextmanager
-    def bench(self, name: str, **options: Any) -> Iterator[Bench]:
+    def bench(
+        self, name: str, result: Result | None = None, **options: Any
+    ) -> Iterator[Bench]:
         if ALL[name].shipped in SUBSTEP:
             options["substep"] = SUBSTEP[ALL[name].shipped]
-        with super().bench(name, **options) as bench:
+        with super().bench(name, result, **options) as bench:
             yield bench
 
 
