@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 import zendsp
-from zendsp.errors import Refused
-from zendsp.experiment import Lab, Result, gentle, run_experiment
+from zendsp.errors import Refused, Unmeasured
+from zendsp.experiment import Lab, Result, any_friction, gentle, run_experiment
 from zendsp.experiment.lab import Bench
 from zendsp.experiment.watch import BEARS, LOOP
 from zendsp.link import Target
 from zendsp.physics import parse_model
+from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
 
 ARM = """<mujoco model="dry"><compiler angle="radian"/><worldbody><body pos="0 0 0.4">
@@ -109,3 +110,22 @@ def test_a_loop_is_no_stiffer_than_its_sampling_bears_at_the_declared_inertia(
     monkeypatch.setattr(gentle, "_inertia", lambda _: 6.6)
     taken, found = gentle.gentle_first(bench, 1, np.zeros(1), 0.0, 1.0)
     assert found == 6.6 and LOOP * taken[0] / 0.313 == pytest.approx(BEARS * 1000.0)
+
+
+def test_a_part_of_a_joints_moves_that_tells_nothing_hides_no_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rec: Any = {"play_time": np.array([9.0])}
+    bench: Any = SimpleNamespace(
+        part=(Path("joint1_ended.npz"), rec), machine=SimpleNamespace(joints=[])
+    )
+    reference = Reference(np.zeros((900, 1)), 0.01, kind="moves", machine="")
+    monkeypatch.setattr(any_friction, "_steady", lambda *_: [(k, k + 1) for k in range(9)])
+
+    def nothing(*_: object) -> None:
+        raise Unmeasured("joint 1: moves too little")
+
+    monkeypatch.setattr(any_friction, "look", nothing)
+    result: Any = SimpleNamespace(warnings=[])
+    any_friction._of_part(result, bench, reference, 1)
+    assert not result.warnings

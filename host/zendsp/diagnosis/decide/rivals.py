@@ -119,11 +119,12 @@ def _near(
     """Whether a rival's torque differs from that of a law by less than what stays unexplained; that
     of another mechanism by less than any law may be wrong, so that it may be the true one.
     """
+    if not behind < INSEPARABLE * first.evidence.gain:
+        return False
     least = discrepancy(parts.choose, final.model, rival.joint).value
     if mechanism_of(rival.effect) != piece.mechanism:
         least = max(least, LAW_ERROR * first.size)
-    apart = difference(parts.choose, rival.scored.model, final.model, rival.joint)
-    return behind < INSEPARABLE * first.evidence.gain and apart < least
+    return difference(parts.choose, rival.scored.model, final.model, rival.joint) < least
 
 
 def _by_other_steps(

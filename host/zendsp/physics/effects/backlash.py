@@ -22,7 +22,9 @@ GAPS = (0.001, 0.0025, 0.006, 0.015, 0.04)  # shares of the motion's range
 # wide motion hid were unexplained. Of an arm they are not tried: beside them a KUKA's second axis
 # got a law more, and lost its dry friction
 FINER = (0.00016, 0.0004)
-TOLD = 10.0  # standard deviations of the sensor: the least gap to start from
+# standard deviations of the sensor: the least gap to start from. One of 27, which was not named,
+# was from a start of 18; at 20 it was not
+TOLD = 10.0
 SHARES = tuple(1.0 - 0.92 * 0.9**i for i in range(16))  # of the inertia, on the load
 RESONANCE = 35.0  # Hz
 # A spring that stiffens imitates a gap: times its bend at the typical torque, and its stiffness

@@ -61,7 +61,9 @@ double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, con
                  double q0, double v0, double *work, double *out, double *var);
 void zf_swing(int n, double T, double first, double second, const double *a, double *place);
 typedef struct {
-    int n; int d; int c; int m; int s; int every; double T; const double *A; const double *G; const double *eased; const double *bent; const int *motor; const int *link; const double *f; const double *s2;
+    int n; int d; int c; int m; int s; int every; double T; const double *A; const double *G;
+    const double *eased; const double *bent; const int *motor; const int *link;
+    const double *f; const double *s2;
     const double *value; const double *half; const double *R; const int *at; const double *x0; const double *p0;
 } zf_chain;
 double zf_smooth_chain(const zf_chain *C, double *work, double *out);
