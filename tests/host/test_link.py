@@ -261,6 +261,20 @@ def test_a_recording_whose_rows_would_be_others_is_no_recording(
             assert running.acquire_load().columns == ("q[0]", "q[1]")
 
 
+def test_what_another_host_recorded_meanwhile_is_not_taken_for_ones_own(running: Target) -> None:
+    running.acquire_configure(["q"], seconds=0.05)
+    running.acquire_start()
+    assert running.acquire_finish().columns == ("q[0]", "q[1]")
+    with connect("fake") as other:
+        other.acquire(["Kp1"], 0.05, take=True)
+        with pytest.raises(Incomplete, match="another recording was begun on this target before"):
+            running.acquire_finish()
+        assert running.acquire_load().columns == ("Kp1",)
+        assert other.acquire_finish().columns == ("Kp1",)
+    running.acquire_start()  # what was configured by the other one, and it is this host's now
+    assert running.acquire_finish().columns == ("Kp1",)
+
+
 @pytest.mark.parametrize(
     ("what", "was"), [("pause", "paused"), ("stop", "stopped"), ("host lost", "stopped")]
 )

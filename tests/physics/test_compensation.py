@@ -4,6 +4,7 @@ what it leaves out.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from benches import MODELS, STRICT, effect, every_effect, rotary, two_joints
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.report import files
 from zendsp.physics import compensation, load_model, simulate
+from zendsp.physics.codegen.compensation import compensates
 from zendsp.physics.codegen.terms import compensable
 from zendsp.physics.model import Actuator, Model, Quantity, Term
 from zendsp.reference import Reference
@@ -126,6 +128,15 @@ def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_
     assert np.all(np.isfinite(rec["tau"]))
 
 
+def test_a_compensation_without_a_torque_compensates_nothing() -> None:
+    """``zendsp run`` said that the program adds its torque."""
+    level = Term("coulomb", 1, {"level": Quantity(0.05)})
+    lag = next(t for t in every_effect() if not compensable(t))
+    for terms, does in (([level], True), ([lag], False), ([], False)):
+        assert compensates(re.findall(r"PARAMETER\((comp_\w+)", compensation(terms))) is does
+    assert not compensates(["Kp", "comp_level"]), "a user's own names"
+
+
 def test_all_compensable_effects_together_compile_without_a_warning() -> None:
     terms = every_effect()
     text = compensation(
@@ -229,7 +240,8 @@ def test_no_code_is_offered_for_a_refinement_that_no_torque_cancels(
     files._compensation(d, tmp_path)
     code = (tmp_path / "compensation.c").read_text()
     assert f"left out ({refinement})." in code
-    assert ("zendsp model2c" in code) is offered
+    assert ("--effects-only" in code) is offered
+    assert "gravity and inertia too, is left out as well; zendsp model2c" in " ".join(code.split())
 
 
 @pytest.mark.parametrize(("joint", "stands"), [(1, True), (2, False)])

@@ -49,7 +49,7 @@ def command(
     from zendsp.errors import RunnerDied
     from zendsp.here.stopped import state_at
     from zendsp.link.programs import late
-    from zendsp.physics.codegen.compensation import SHARE
+    from zendsp.physics.codegen.compensation import SHARE, compensates
 
     file, values = file_and_values(words, assignments)
     with open_target(target, connect, moves=True) as t:
@@ -57,7 +57,7 @@ def command(
             compiled(lambda: t.download(file, flags), as_json, t)
         if values:
             t.write(**values)
-        if file is not None and SHARE in t.variables():
+        if file is not None and compensates(t.variables()):
             click.echo(
                 f"zendsp: {t.name}: the program adds the torque of a compensation.c, times"
                 f" {SHARE} = {t[SHARE]:g} (zendsp set {SHARE}=0 leaves it out)",

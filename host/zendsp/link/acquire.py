@@ -59,6 +59,7 @@ class Recorder(Transfers):
     def __init__(self, requests: Requests, parameters: ParameterSets) -> None:
         super().__init__(requests)
         self._parameters = parameters
+        self._begun: int | None = None  # the recording that this host started last, by its number
 
     @shows_progress
     def acquire(
@@ -138,7 +139,7 @@ class Recorder(Transfers):
         if timeout is None and trigger is None:
             timeout = 2.0 * seconds + 10.0
         try:
-            self.request("acquire_start")
+            self.acquire_start()
             if start:
                 # The row of the last wanted sample is written in that sample: so many ticks and not
                 # one more.
@@ -298,6 +299,7 @@ class Recorder(Transfers):
     def acquire_start(self, force: bool = False) -> None:
         """Start or arm the recorder; ``force`` fires the trigger by hand."""
         self.request("acquire_start", force=force)
+        self._begun = self.acquire_status().begun
 
     def acquire_stop(self) -> None:
         """Stop the recorder; what it holds stays loadable."""
@@ -368,11 +370,17 @@ class Recorder(Transfers):
         Raises
         ------
         Incomplete
-            Not within ``timeout``, or the program no longer runs.
+            Not within ``timeout``, or the program no longer runs; or another host began another
+            recording since `acquire_start`.
         RunnerDied
             The program crashed; `acquire_load` brings home what there is.
         """
         status: m.AcquireStatus = self.insist("acquire_status", patience)
+        if self._begun is not None and status.begun > self._begun:
+            raise Incomplete(
+                "another recording was begun on this target before this one was fetched;"
+                " acquire_load() brings home that one"
+            )
         if status.wanted == 0 and status.state == RecorderState.RUNNING:
             self._end_ring(patience)
         else:

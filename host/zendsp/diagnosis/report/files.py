@@ -187,6 +187,10 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
                 " model.toml --effects-only."
             )
         sentences.append(said)
+    sentences.append(
+        "What the given model had, gravity and inertia too, is left out as well; zendsp model2c"
+        " model.toml writes functions of all of it."
+    )
     (folder / "compensation.c").write_text(
         compensation([as_stated(d, t) for t in terms], model=d.improved, sentences=sentences),
         encoding="utf-8",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from zendsp.physics.codegen.terms import (
     SIGN_SPEED,
@@ -135,6 +135,12 @@ def compensation_values(terms: Sequence[Term], model: Model) -> dict[str, float]
 # Settings of every compensation; all its other parameters are numbers of effects.
 SHARE = "comp_share"
 SETTINGS = (SHARE, "comp_fade", "comp_limit", "comp_sign_speed")
+
+
+def compensates(variables: Iterable[str]) -> bool:
+    """Whether a program with these variables has a compensation with a torque in it."""
+    names = set(variables)
+    return SHARE in names and any(n.startswith("comp_") for n in names.difference(SETTINGS))
 
 
 def _settings(sign_speed: float, kinds: Sequence[str]) -> list[Variable]:
