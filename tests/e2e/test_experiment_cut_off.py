@@ -64,7 +64,7 @@ def check_kept(lab: Lab) -> None:
     "by, said",
     [
         (signal.SIGINT, "the target has ended; as it said, its machine is in its safe state"),
-        (signal.SIGKILL, "NOT KNOWN whether the machine still moves"),
+        (signal.SIGKILL, "NOT KNOWN whether the machine still moves: its target has ended without"),
     ],
 )
 def test_what_was_measured_is_kept_where_the_target_ends(

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from waiting import until
 
-from zendsp.errors import Refused
+from zendsp.errors import LinkError, Refused
 from zendsp.tui.session import Session
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
 
 
 class Machine:
@@ -83,3 +83,32 @@ def test_a_pause_ends_a_homing_and_the_actions_that_wait_for_it(
     with pytest.raises(Refused, match="not done, since"):
         start.result(5.0)
     assert machine.started == 0
+
+
+@pytest.mark.parametrize("here", [True, False])
+@pytest.mark.parametrize(
+    ("safe", "said"), [(True, "in its safe state"), (False, "NOT in its safe state"), (None, "")]
+)
+def test_what_a_target_says_of_its_machine_at_its_end_is_shown(
+    desk: tuple[Session, Machine], here: bool, safe: bool | None, said: str
+) -> None:
+    """The command line told it, and the screen did not."""
+    session, machine = desk
+    ended = threading.Event()
+
+    def snapshot() -> Snapshot:
+        if ended.is_set():
+            raise LinkError("arm has ended")
+        return Snapshot(link=LinkState.UP, target="arm", state="running")
+
+    machine.here, machine.over, machine.snapshot = here, True, snapshot  # type: ignore[method-assign, attr-defined]
+    machine.farewell = lambda: safe  # type: ignore[attr-defined]
+    until(lambda: session.snapshot.link == LinkState.UP, "the target is shown")
+    ended.set()
+    until(lambda: session.snapshot.link != LinkState.UP, "its end is shown")
+    if said:
+        until(lambda: session.snapshot.safe is safe, "what it said is shown")
+        words = [e.text for e in session.events.since(0)[1]]
+        assert f"arm has ended; as it said, its machine is {said}" in words
+    else:
+        assert session.snapshot.safe is None

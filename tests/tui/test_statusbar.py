@@ -11,7 +11,7 @@ from textual.app import App, ComposeResult
 from zendsp.link.outside import Outside
 from zendsp.tui.colours import THEMES
 from zendsp.tui.panels.drive import DrivePanel
-from zendsp.tui.snapshot import Snapshot, TripView
+from zendsp.tui.snapshot import LinkState, Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, banner_lines
 from zendsp.tui.stop_process import EMERGENCY
 from zendsp_protocol.messages import JointInfo, Limits, MachineInfo
@@ -237,6 +237,26 @@ async def test_the_next_step_after_a_trip_is_shown_beside_the_state() -> None:
         assert DrivePanel().ladder(rest).plain.endswith("running  next e")
         going = replace(rest, state="running", drive="running", steps=("go_on",))
         assert DrivePanel().ladder(going).plain.endswith("hold = false lets it go on")
+
+
+@pytest.mark.parametrize(
+    ("link", "safe", "said"),
+    [
+        ("lost", True, "LINK LOST to imi: it has ended, machine safe; start it again"),
+        ("lost", False, "LINK LOST to imi: it ended, machine NOT SAFE: emergency stop"),
+        ("ended", True, "imi HAS ENDED, machine safe: Ctrl+O"),
+        ("ended", False, "imi HAS ENDED, machine NOT SAFE: Ctrl+O"),
+    ],
+)
+async def test_the_bar_tells_how_a_target_that_ended_left_its_machine(
+    link: str, safe: bool, said: str
+) -> None:
+    app = _Bar()
+    async with app.run_test(size=(80, 5)) as pilot:
+        seen = Snapshot(link=LinkState(link), target="imi", gone=True, safe=safe)
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        assert said in app.screen._compositor.render_strips()[1].text
 
 
 @pytest.mark.parametrize(

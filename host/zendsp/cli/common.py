@@ -27,7 +27,6 @@ from zendsp_protocol.values import Assignable, Packed, from_wire
 if TYPE_CHECKING:
     from zendsp.link import Target
 
-FAREWELL_S = 3.0  # for a target that ends to end its program: a machine that brakes takes 1 to 2
 ENDING = (signal.SIGTERM, signal.SIGHUP)
 _UNIT = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*[^\W\d_]")  # a number, a letter
 F = TypeVar("F", bound=Callable[..., Any])
@@ -156,13 +155,18 @@ def how_left(target: Target) -> str:
 
     with suppress(ZendspError, KeyboardInterrupt):  # of somebody who waits no longer
         return left(target.status())
-    safe = target.link.farewell(FAREWELL_S)
+    safe = target.link.farewell()
     if safe:
         return "the target has ended; as it said, its machine is in its safe state"
     if safe is not None:
         return (
             "the target has ended, and as it said its machine is NOT in its safe state: use the"
             " machine's emergency stop"
+        )
+    if target.link.over:
+        return (
+            "NOT KNOWN whether the machine still moves: its target has ended without a word. Use"
+            " the machine's emergency stop; a simulated machine has ended with its target"
         )
     return (
         "NOT KNOWN whether the machine still moves: the target does not answer. Use 'zendsp stop',"

@@ -27,6 +27,7 @@ SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in
 STEP_S = 0.2  # for the news of a death to arrive
 AGAIN_S = 0.002  # before a request that was dropped is sent again
 STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
+FAREWELL_S = 3.0  # for a target that ends to end its program: a machine that brakes takes 1 to 2
 CLOSED = "the connection to {name!r} is closed"
 FORKED = "the connection to {name!r} belongs to the process that this one was forked from"
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
@@ -117,7 +118,7 @@ class Link:
                 return False
         return True
 
-    def farewell(self, timeout: float) -> bool | None:
+    def farewell(self, timeout: float = FAREWELL_S) -> bool | None:
         """Whether the machine of a target that has ended is in its safe state, as the target said
         at its end; None where it said nothing. One that ends is waited for, at most ``timeout`` s.
         """

@@ -57,6 +57,10 @@ class LinkPort:
         """Whether the target's process has ended."""
         return self.target.link.over
 
+    def farewell(self) -> bool | None:
+        """Whether its machine is safe, as a target that ends by itself said; waits for it."""
+        return self.target.link.farewell()
+
     def snapshot(self) -> Snapshot:
         """Everything that a screen shows, by at most six quick requests."""
         begin = time.perf_counter()

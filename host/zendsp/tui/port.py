@@ -86,6 +86,7 @@ class Port(Protocol):
 
     @property
     def over(self) -> bool: ...  # the target's process has ended
+    def farewell(self) -> bool | None: ...  # whether its machine is safe, as it said at its end
 
     def snapshot(self) -> Snapshot: ...
     def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]: ...

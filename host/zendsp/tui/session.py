@@ -315,10 +315,21 @@ class Session:
             self.snapshot,
             link=LinkState.ENDED if ended else LinkState.LOST,
             latency_s=float("nan"),
-            recording=False, gone=port.over,
+            recording=False, gone=port.over, safe=None,
         )
         if ended or not port.here:
-            background("tui-close", _close_quietly, port)
+            background("tui-close", self._part, port)
+
+    def _part(self, port: Port) -> None:
+        """Show what a target that ends says of its machine, and close the link to it."""
+        safe = port.farewell()
+        shown = self._left is port and self.snapshot.link in (LinkState.LOST, LinkState.ENDED)
+        if safe is not None and shown:
+            self.snapshot = replace(self.snapshot, gone=True, safe=safe)
+            words = "is in its safe state" if safe else "is NOT in its safe state"
+            said = f"{self.snapshot.target} has ended; as it said, its machine {words}"
+            self.events.add(said, "info" if safe else "error")
+        _close_quietly(port)
 
     def _drop(self) -> None:
         with self._lock:

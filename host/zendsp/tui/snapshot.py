@@ -78,6 +78,7 @@ class Snapshot:
     target: str = ""
     complaint: str = ""  # why it is not connected yet
     gone: bool = False  # of a link that is lost: the process of the target has ended
+    safe: bool | None = None  # its machine, as it said at its end; None: it said nothing
     here: tuple[str, ...] | None = None  # targets that answer while none is connected, once known
     machine: str = ""
     joints: int = 0

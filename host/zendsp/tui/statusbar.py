@@ -222,8 +222,8 @@ class StatusBar(Widget):
                 LinkState.NONE: f"no target: Ctrl+O {_offer(s)}",
                 LinkState.STARTING: f"starting {s.target} …",
                 LinkState.CONNECTING: f"connecting to {s.target} …",
-                LinkState.LOST: f"LINK LOST to {s.target}: {'it has ended; start it again' if s.gone else 'reconnecting …'}",  # noqa: E501
-                LinkState.ENDED: f"{s.target} HAS ENDED: Ctrl+O {_offer(s)}",
+                LinkState.LOST: f"LINK LOST to {s.target}: {_again(s)}",
+                LinkState.ENDED: f"{s.target} HAS ENDED{_said(s)}: Ctrl+O {_offer(s)}",
             }
             colour = c["error"] if s.link in (LinkState.LOST, LinkState.ENDED) else c["warning"]
             return line.append(words.get(s.link, s.link), Style(bold=True, color=colour))
@@ -316,6 +316,17 @@ def left_alone(s: Snapshot) -> str:
     words = {"stop": "it stops", "hold": "it comes to rest", "finish": "it goes on"}
     moved = s.state == ProgramState.RUNNING and (s.mine or s.moved_by == "you")
     return f"; {words[s.host_lost]}" if moved and s.host_lost in words else ""
+
+
+def _said(s: Snapshot) -> str:
+    """What a target that ended by itself said of its machine."""
+    return {None: "", True: ", machine safe", False: ", machine NOT SAFE"}[s.safe]
+
+
+def _again(s: Snapshot) -> str:
+    if s.gone and s.safe is False:
+        return f"it ended{_said(s)}: emergency stop"
+    return f"it has ended{_said(s)}; start it again" if s.gone else "reconnecting …"
 
 
 def _offer(s: Snapshot) -> str:
