@@ -171,6 +171,20 @@ def test_a_local_target_ends_with_the_host_that_started_it() -> None:
     until(lambda: not running(pid), "the target has ended")
 
 
+def test_a_local_target_ends_when_nothing_refers_to_it_and_in_no_fork_of_its_host() -> None:
+    """A notebook's cell that was run twice left the first one's machine running."""
+    target = zendsp.local("imi_planar", clock="fast")
+    pid, info = int(target.info.pid), target.info
+    if not (child := os.fork()):
+        del target
+        time.sleep(0.3)
+        os._exit(0)
+    os.waitpid(child, 0)
+    assert target.info == info and target.status().state == "empty" and running(pid)
+    del target
+    until(lambda: not running(pid), "the target has ended")
+
+
 def test_any_number_of_hosts_at_once_never_mix_an_update(start: Callable[..., Target]) -> None:
     # a hundred times real time: the loop leaves a busy computer's processors to those who write
     fast = start(clock="fast", options=["--speed", "100"])

@@ -6,12 +6,14 @@ import json
 import os
 import sys
 import time
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from zendsp.errors import LinkError
 from zendsp.here.registered import CONNECT, local_entries, own_entries, remote_endpoints
+from zendsp.link.background import background
 from zendsp.link.find import reach, there, unreachable
 from zendsp.link.link import Link
 from zendsp.link.settings import Credentials
@@ -162,7 +164,8 @@ def local(
 ) -> Target:
     """Start a target process on this computer, which only this user can reach, and connect to it.
 
-    It ends when the returned target is closed, and also when this process dies in any way.
+    It ends when the returned target is closed or no longer referred to, and also when this process
+    dies in any way.
 
     Parameters
     ----------
@@ -223,10 +226,27 @@ def local(
         _wait_ready(process, said, timeout)
         name, endpoints, own = locate(name, [])
         link = Link(name, endpoints, own or Credentials(), timeout)
-        return Target(link, on_close=lambda: _end(process, said))
+        target = Target(link, on_close=lambda: _end(process, said))
     except BaseException:
         _end(process, said)
         raise
+    # a notebook's cell that is run again forgets the target of its first run
+    weakref.finalize(target, _forgotten, os.getpid(), link, process, said).atexit = False
+    return target
+
+
+def _forgotten(
+    parent: int, link: Link, process: subprocess.Popen[bytes], said: IO[bytes]
+) -> None:
+    """End a target that nothing refers to any more, without being waited for."""
+    if os.getpid() != parent or process.returncode is not None:  # another's, or closed before
+        return
+
+    def end() -> None:
+        link.close()
+        _end(process, said)
+
+    background("forgotten", end)
 
 
 def _wait_ready(process: subprocess.Popen[bytes], said: IO[bytes], timeout: float) -> None:
