@@ -275,6 +275,8 @@ def test_what_is_asked_wrong_of_a_recording_names_what_to_write(fast: Target) ->
         fast.acquire(["nothing"], seconds=1.0)
     with pytest.raises(VariableError, match=r"values have names: update\(Kp1=450.0\)"):
         fast.update({"Kp1": 450.0})  # type: ignore[arg-type]
+    with pytest.raises(VariableError, match=r"values have names: fade\(0.5, Kp1=450.0\)"):
+        fast.fade({"Kp1": 450.0})  # type: ignore[arg-type]
     with pytest.raises(VariableError, match="kd1: no such variable; did you mean Kd1 or "):
         fast["kd1"]
     with pytest.raises(Refused, match="nothing to record: the program is loaded"):

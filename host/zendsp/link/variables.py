@@ -4,6 +4,7 @@ dictionary, the log.
 
 from __future__ import annotations
 
+import numbers
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
@@ -239,6 +240,11 @@ class Variables(Part):
         VariableError
             One line per variable that is wrong; nothing was applied.
         """
+        if not isinstance(seconds, numbers.Real):
+            raise VariableError(
+                f"seconds = {seconds!r} is no number of seconds; values have names:"
+                " fade(0.5, Kp1=450.0), or fade(0.5, **values)"
+            )
         applied: m.Applied = self.link.request(
             "update", {"values": _wire(values), "fade": float(seconds)}
         )
