@@ -60,6 +60,9 @@ def verdict_sentence(
     >>> same = [("dry friction", ("coulomb",), joint) for joint in (1, 2, 3)]
     >>> verdict_sentence(Verdict.MISSING, same)
     'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
+    >>> drives = [(what, (what,), 1) for what in ("lag", "delay", "creep")]
+    >>> verdict_sentence(Verdict.MISSING, drives)
+    'Missing physics: lag (lag), delay (delay) and creep (creep) at joint 1.'
     >>> verdict_sentence(Verdict.MISSING, [(WORDS["inertia"], ("payload",), 2)])
     'Other than the model says: a mass or an inertia (payload) at joint 2.'
     >>> verdict_sentence(Verdict.MISSING, [(TILTED, ("base_tilt",), 1)])
@@ -107,7 +110,8 @@ def verdict_sentence(
             at[joint].append(word)
     joints: dict[str, list[int]] = {}
     for joint, words in at.items():
-        joints.setdefault(" and ".join(words), []).append(joint)
+        *first, last = words
+        joints.setdefault(f"{', '.join(first)} and {last}" if first else last, []).append(joint)
     where = [  # a base is no joint's
         what if what.startswith(TILTED) and " and " not in what else f"{what} at {listed(numbers)}"
         for what, numbers in joints.items()
