@@ -28,6 +28,7 @@ from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.detectable_push import detectable_pushes
+from zendsp.diagnosis.decide.detectable_transmission import detectable_transmissions
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.naming import name_findings
@@ -330,6 +331,7 @@ def _look_on(
     tell(Step.LOOKING_ON.says("asking what could have been seen"))
     seen = (
         *detectable(found.parts, given, found.decisions, jobs),
+        *detectable_transmissions(found.parts, given, found.decisions, jobs),
         *detectable_pushes(found.parts, given, found.decisions),
     )
     bodies = detectable_bodies(
