@@ -100,6 +100,18 @@ def test_enabling_moves_nothing_though_a_program_went_on_beside_drives_that_were
     assert target.drive_status().state == "enabled"
 
 
+def test_power_is_not_switched_on_beneath_a_program_that_moves_the_machine(target: Target) -> None:
+    """The drives of the automatic mode went off, and an arm fell."""
+    target.start()
+    until(lambda: target.status().io["aout"][0] != 0.0, "the drives are on")
+    with pytest.raises(Refused, match="power on is refused: the program runs .*pause it first"):
+        target.power_on()
+    assert target.drive_status().state == "running" and not target.drive_status().explicit
+    target.pause()
+    target.power_on()
+    assert target.drive_status().state == "homed"
+
+
 def test_the_drives_start_softly(target: Target) -> None:
     target.power_on()
     target.enable()

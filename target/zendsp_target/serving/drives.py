@@ -261,8 +261,15 @@ class Drives:
             return said
 
     def power_on(self) -> str:
-        """off → ready (and on to homed where positions are absolute)."""
+        """off → ready (and on to homed where positions are absolute). Refused where a program moves
+        the machine already, which would lose its torque.
+        """
         if not self._explicit:
+            if self._runtime.status().state == ProgramState.RUNNING:
+                raise Refused(
+                    "power on is refused: the program runs with the drives on, and the machine"
+                    " would lose its torque; pause it first"
+                )
             self._explicit = True
             self._off()
         self._powered = True
