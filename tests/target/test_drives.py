@@ -104,7 +104,7 @@ def test_power_is_not_switched_on_beneath_a_program_that_moves_the_machine(targe
     """The drives of the automatic mode went off, and an arm fell."""
     target.start()
     until(lambda: target.status().io["aout"][0] != 0.0, "the drives are on")
-    with pytest.raises(Refused, match="power on is refused: the program runs .*pause it first"):
+    with pytest.raises(Refused, match=r"power on is refused: the program runs .*pause it first"):
         target.power_on()
     assert target.drive_status().state == "running" and not target.drive_status().explicit
     target.pause()

@@ -155,7 +155,10 @@ def _diagnose(
     """
     begin = time.perf_counter()
     try:
-        return _with_zeros_given(sources, given, seed, jobs, tell, so_far)
+        d = _with_zeros_given(sources, given, seed, jobs, tell, so_far)
+        if isinstance(d.workings, Workings):
+            d.workings.forget()
+        return d
     except OtherZero as other:
         if homings == given.joints:
             raise RecordingError(

@@ -20,12 +20,16 @@ from zendsp.diagnosis.transmission.sets import compliance_unit
 from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import make_term, usable
 from zendsp.physics.effects import Effect, get_effect, unit_of
+from zendsp.physics.effects.axes import DAMPING, transmission_limits
 from zendsp.physics.effects.base import Facts
 from zendsp.physics.model import Model, Term
 
 HALF = 0.5  # of the inertia, on the load
 ASKED = ("elasticity", "backlash")
-NEAR = 0.3  # a start leads to a gap of so much of its own, or more
+OF_A_START = 0.3  # of a starting gap: one as small is found from it
+# the stiffest start over the stiffest spring that is stated: at its edge of the search one of 61 Hz
+# was not named
+WITHIN = 2.0
 
 
 def detectable_transmissions(
@@ -75,11 +79,11 @@ def _span(effect: Effect, joint: int, known: Facts) -> tuple[Term, float]:
     load = HALF * known.inertia
     numbers = {"load_inertia": load, "links_inertia": known.links}
     if effect.name == "backlash":
-        _, contact = effect.parameter("stiffness").limits(known)
-        numbers |= {"gap": NEAR * min(sizes), "stiffness": contact}
+        _, contact = transmission_limits(known)
+        numbers |= {"gap": OF_A_START * min(sizes), "stiffness": contact}
         largest = NOT_SMALL * known.scale.position
     else:
-        numbers["stiffness"], largest = max(sizes), min(sizes)
-    damping = 0.8 if effect.name == "backlash" else 0.3
+        numbers["stiffness"], largest = max(sizes) / WITHIN, min(sizes)
+    damping = 0.8 if effect.name == "backlash" else DAMPING
     numbers["damping"] = damping * math.sqrt(numbers["stiffness"] * load)
     return make_term(effect, joint, numbers), largest

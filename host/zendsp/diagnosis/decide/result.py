@@ -109,6 +109,11 @@ class Workings:
     train: Data
     test: Data
 
+    def forget(self) -> None:
+        """Let go of what was computed along the recordings: a figure needs little of it again."""
+        for data in (self.train, self.test):
+            data.forget()
+
 
 @dataclass(frozen=True)
 class SimulatorErrors:

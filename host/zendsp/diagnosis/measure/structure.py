@@ -203,11 +203,11 @@ def structure(
         Whether what acts where the joint turns round counts.
     """
     known = resisting(parts[0].records[0][joint - 1], model).known
-    records = tuple(rec[joint - 1] for part in parts for rec in part.records)
-    key = (*map(id, records), tuple(mechanisms), turning)
-    if key not in known:  # the records are kept, so that no others get their ids
-        known[key] = _structure(parts, model, joint, mechanisms, turning), records
-    found: Structure = known[key][0]
+    records = (rec[joint - 1].number for part in parts for rec in part.records)
+    key = (*records, tuple(mechanisms), turning)
+    if key not in known:
+        known[key] = _structure(parts, model, joint, mechanisms, turning)
+    found: Structure = known[key]
     return found
 
 

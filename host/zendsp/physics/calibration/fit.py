@@ -116,6 +116,12 @@ class Data:
         )
         return replace(self, records=records)
 
+    def forget(self) -> None:
+        """Let go of what was computed along the recordings and can be computed again."""
+        for rec in self.records:
+            for record in rec:
+                record.forget()
+
     def at_bandwidth(self, joint: int, value: float) -> Data:
         """The same recordings with another observer on one joint (1-based)."""
         return replace(
@@ -291,13 +297,13 @@ def fit(
     wanted = tuple(joints or range(1, data.joints + 1))
     begin = None if start is None else start.tobytes()
     key = (
-        *(id(record) for rec in data.records for record in rec),
+        *(record.number for rec in data.records for record in rec),
         (data.bandwidth, data.inner, tuple(data.ranges.items())),
         (_content(model), handles, wanted, iterations, tolerance, begin, central, brief, goal),
     )
     known = data.records[0][wanted[0] - 1].fits
     if key in known:  # with the caller's own terms, as after a new fit
-        found: Fit = known[key][0]
+        found: Fit = known[key]
         return replace(found, model=set_values(model, handles, found.x))
     with threads(jobs) as each:
         records = [(rec[j - 1], data.bandwidth[j - 1]) for rec in data.records for j in wanted]
@@ -311,7 +317,7 @@ def fit(
     found = Fit(
         set_values(model, handles, x), handles, x, covariance, float(r @ r), at_bound, jac, r,
     )
-    known[key] = found, data.records  # kept alive, so that no other record gets its id
+    known[key] = found
     while len(known) > REMEMBERED:
         known.pop(list(known)[0], None)  # noqa: RUF015  in one step: other threads add to it
     return found

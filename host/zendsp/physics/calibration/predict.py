@@ -113,7 +113,7 @@ def run(
     asked_again = not states and extra is None
     found = record.runs.pop(key, None) if asked_again else None
     if found is not None:
-        known: Run = found[0]
+        known: Run = found
         _keep(record, key, known)  # as the latest: what is asked for most stays
         return known
     m = lib.ffi.new("zk_model *")
@@ -184,7 +184,7 @@ def _from(
 
 
 def _keep(record: JointRecord, key: tuple[object, ...], done: Run) -> None:
-    record.runs[key] = done, record  # kept alive, so that no other record gets its id
+    record.runs[key] = done
     while len(record.runs) > REMEMBERED:
         record.runs.pop(list(record.runs)[0], None)  # noqa: RUF015  in one step: threads
 
@@ -279,7 +279,7 @@ def _key(
     bodies = tuple((t.effect, t.joint) for t in body_terms(model))
     numbers = _numbers(record, model, table)
     whole = model.kind, model.sensor.side, kinds.tobytes(), numbers, bodies
-    return id(record), whole, bandwidth, inner, free_every
+    return record.number, whole, bandwidth, inner, free_every
 
 
 def _body_numbers(model: Model) -> tuple[float, ...]:
