@@ -51,9 +51,22 @@ def test_a_load_beside_which_much_stays_unexplained_is_less_sure(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     left = other_load.discrepancy
-    monkeypatch.setattr(other_load, "discrepancy", lambda *a: replace(left(*a), value=0.03))
+    monkeypatch.setattr(other_load, "discrepancy", lambda *a: replace(left(*a), value=0.022))
     (found,) = decided(reality.Machine(), reality.Machine(inertia=0.0107)).findings
     assert 0.5 < found.confidence < other_load.CONFIDENCE
+
+
+@pytest.mark.parametrize("left", [0.03, 0.001])
+def test_no_load_is_named_that_leaves_much_or_that_the_fit_may_have_too(
+    left: float, decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bench on pendulums was "of another load" (77 %), since they swing otherwise in each
+    recording; and one with a spring (90 %), which had bent the numbers of the fit: those of the
+    held-out recordings left as little there.
+    """
+    sized = other_load.discrepancy
+    monkeypatch.setattr(other_load, "discrepancy", lambda *a: replace(sized(*a), value=left))
+    assert not decided(reality.Machine(), reality.Machine(inertia=0.0107)).findings
 
 
 def test_a_load_that_gravity_shows_too_is_a_payload(

@@ -16,7 +16,7 @@ from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.moved import point_of
-from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, SURE, TOLERANCE
+from zendsp.diagnosis.decide.thresholds import A_PART, LAWFUL, SURE, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -43,7 +43,9 @@ class OtherLoad:
 
 def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> OtherLoad | None:
     """The load that all held-out recordings have and those of the fit lack; None where they have
-    the same, or where more than inertia and gravity differs.
+    the same, or where more than inertia and gravity differs: in either recordings more stays
+    unexplained than half of the load's torque, or those of the fit are explained by its numbers,
+    too.
     """
     joint, base = decision.joint, decision.base
     held = {rec[joint - 1].recording for rec in parts.held.records}
@@ -57,10 +59,15 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
     choose = parts.choose.at_bandwidth(joint, base.data.bandwidth[joint - 1])
     own = fit_scored(choose, base.model, handles, (joint,), jobs=jobs, rounds=2)
     after = discrepancy(parts.test, own.model, joint)
-    more = after.value > LAWFUL and after.value**2 > (1.0 - PREDICTED) * decision.before.value**2
+    size = math.sqrt(max(decision.before.value**2 - after.value**2, 0.0))
+    here, there = (discrepancy(parts.fit, m, joint) for m in (base.model, own.model))
+    left = max(after.value, here.value)
+    more = left > LAWFUL and left > A_PART * size
+    # the recordings of the fit may have the same load, and another law had bent its numbers there
+    alike = there.value < LAWFUL
     errors = [rms(window_error(parts.test, m, joint)) for m in (base.model, own.model)]
     evidence = compare(base, own, parts.test, joint)
-    if more or errors[1] > errors[0] or evidence.z < SURE:
+    if more or alike or errors[1] > errors[0] or evidence.z < SURE:
         return None
     both = [_numbers(keys, scored.fit, given) for scored in (base, own)]
     if not any(_is_other(*(numbers[key] for numbers in both)) for key in keys):
@@ -68,7 +75,6 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
     body, text = _body(given, *both)
     where = " and ".join(sorted(loaded))
     effect = "payload" if "mass" in body else "inertia"
-    size = math.sqrt(max(decision.before.value**2 - after.value**2, 0.0))
     finding = Finding(
         effect,
         joint,
@@ -82,10 +88,10 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
         "inertia",
         {effect: 1.0},
     )
-    there = replace(
+    decided = replace(
         decision, kind=Verdict.MISSING, final=own, after=after, bare=after, alone=own, loads=()
     )
-    return OtherLoad(finding, there)
+    return OtherLoad(finding, decided)
 
 
 def _is_other(before: Estimate, now: Estimate) -> bool:
