@@ -3,6 +3,7 @@ noise, other places of uneven friction and other start positions; how often do t
 hold what the machine really has?
 
     python benchmarks/experiments.py --keep runs.json --page docs/measurements/experiments.md
+    python benchmarks/experiments.py --keep runs.json --minutes 20 --jobs 2   # go on, two at once
     python benchmarks/experiments.py --machine slide.xml --seeds 40     # what fits a MuJoCo model
 """
 
@@ -11,18 +12,22 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from zendsp.errors import ZendspError
 from zendsp.experiment import EXPERIMENTS as ALL
 from zendsp.experiment import Lab, Result
 from zendsp.experiment.any_friction import friction
@@ -35,9 +40,13 @@ from zendsp.experiment.motor import electrical
 from zendsp.experiment.truth import FRICTION, PENDULUM, TRUTH
 from zendsp.experiment.wam_friction import friction as wam_friction
 from zendsp.link import local
+from zendsp.parent import die_with
 from zendsp.recording import Recording
+from zendsp.whole_file import write_whole
 
 PLACES = 4
+Copy = dict[str, Any]  # a value and its standard deviation by name; or "failed", and why
+Counted = dict[str, dict[str, Copy]]  # by the experiment's name, and the copy's seed
 # the longest integration step, s: twice that of the machine, for time
 SUBSTEP = {"imi_planar": 2e-4, "wam7": 1e-4}
 
@@ -151,29 +160,66 @@ def keep_nothing() -> None:
     Recording.save = lambda self, path: Path(path)  # type: ignore[method-assign]
 
 
-def repeat(name: str, rows: list[Any], seed: int) -> None:
-    """Add a repetition: value and standard deviation of every number whose truth is known."""
+def begin(machine: Path | None, parent: int = 0) -> None:
+    """What each process that makes copies does first; one of another's ends with that."""
+    if parent:
+        die_with(parent)
+    keep_nothing()
+    if machine:
+        EXPERIMENTS.clear()
+        EXPERIMENTS.update(of_model(machine))
+
+
+def repeat(name: str, seed: int) -> Copy:
+    """A copy: value and standard deviation of every number whose truth is known; or, where it could
+    not be made, why.
+    """
     one = EXPERIMENTS[name]
     with tempfile.TemporaryDirectory() as folder:
-        found = one.make(Quick(folder, seed=seed)).values
-    rows.append({key: (found[key].value, found[key].std) for key in one.truth if key in found})
+        try:
+            found = one.make(Quick(folder, seed=seed)).values
+        except ZendspError as error:
+            return {"failed": str(error)}
+    return {key: (found[key].value, found[key].std) for key in one.truth if key in found}
 
 
-def section(name: str, kept: Mapping[str, list[Any]]) -> str:
-    """What the repetitions of one experiment say, of all joints that it was made on."""
+def count(kept: Counted, wanted: list[tuple[str, int]], args: argparse.Namespace) -> None:
+    """Make the copies that are wanted, ``args.jobs`` at once, and keep each as soon as it is there:
+    a run that is killed leaves all that was done.
+    """
+    until = time.monotonic() + 60 * args.minutes
+    left, made = iter(wanted), dict[Future[Copy], tuple[str, int]]()
+    spawn = get_context("spawn")  # a link has threads, which a fork would not have
+    with ProcessPoolExecutor(args.jobs, spawn, begin, (args.machine, os.getpid())) as pool:
+        while True:
+            room = args.jobs - len(made) if time.monotonic() < until else 0
+            for name, seed in itertools.islice(left, room):
+                made[pool.submit(repeat, name, seed)] = name, seed
+            if not made:
+                return
+            for done in wait(made, return_when=FIRST_COMPLETED).done:
+                name, seed = made.pop(done)
+                kept.setdefault(name, {})[str(seed)] = done.result()
+            if args.keep:
+                write_whole(args.keep, json.dumps(kept))
+
+
+def section(name: str, kept: Counted) -> str:
+    """What the copies of one experiment say, of all joints that it was made on."""
     lines = [
         "| quantity | machine | mean | spread | stated | off, in stated | intervals that hold it |",
         "|---|---|---|---|---|---|---|",
     ]
-    held, count, times = 0, 0, []
-    for one in (one for one in EXPERIMENTS if whole(one) == name and len(kept.get(one, [])) > 1):
-        rows = kept[one]
-        times.append(len(rows))
+    held, number, times, failed = 0, 0, [], list[str]()
+    for one in (one for one in EXPERIMENTS if whole(one) == name and len(kept.get(one, {})) > 1):
+        failed += [f"{one}, {k}: {x['failed']}" for k, x in kept[one].items() if "failed" in x]
+        rows = [row for row in kept[one].values() if "failed" not in row]
+        times.append(len(kept[one]))
         for key in {key: None for row in rows for key in row}:  # not each is stated each time
             value, std = np.array([row[key] for row in rows if key in row]).T
             truth = EXPERIMENTS[one].truth[key]
             inside = np.abs(value - truth) <= 1.96 * std
-            held, count = held + int(inside.sum()), count + len(inside)
+            held, number = held + int(inside.sum()), number + len(inside)
             spread = f"{value.std(ddof=1):.2g}" if len(value) > 1 else "not told"
             lines.append(
                 f"| {key.replace('_', ' ')} | {truth:.4g} | {value.mean():.4g} |"
@@ -184,8 +230,12 @@ def section(name: str, kept: Mapping[str, list[Any]]) -> str:
     note = f" ({EXPERIMENTS[name].note})" if name in EXPERIMENTS and EXPERIMENTS[name].note else ""
     fewest, most = min(times), max(times)
     many = f"{most}" if fewest == most else f"{fewest} to {most}"
-    said = f"{many} repetitions, {date.today():%-d %B %Y}: {100 * held / count:.1f} % of {count}"
-    return "\n".join([f"## {name}{note}", "", f"{said} intervals hold.", "", *lines, ""])
+    said = f"{many} repetitions, {date.today():%-d %B %Y}: {100 * held / max(number, 1):.1f} %"
+    lacking = [f"Not made, {len(failed)}:", "", *(f"- {one}" for one in failed), ""]
+    said = f"{said} of {number} intervals hold."
+    return "\n".join(
+        [f"## {name}{note}", "", said, "", *lacking * bool(failed), *lines, ""]
+    )
 
 
 def whole(name: str) -> str:
@@ -223,28 +273,20 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__)
     p.add_argument("--seeds", type=int, default=200, help="repetitions of each")
     p.add_argument("--first-seed", type=int, default=1, help="others: other copies")
-    p.add_argument("--only", default="", help="those whose names begin so")
-    p.add_argument("--minutes", type=float, default=float("inf"), help="stop after so many")
+    p.add_argument("--only", default=[""], nargs="+", help="those whose names begin so")
+    p.add_argument("--minutes", type=float, default=float("inf"), help="begin none after so many")
+    p.add_argument("--jobs", type=int, default=1, help="copies at once")
     p.add_argument("--keep", type=Path, help="go on from this file, and keep the repetitions there")
     p.add_argument("--page", type=Path, help="write the tables there (Markdown)")
     p.add_argument("--machine", type=Path, help="instead: a MuJoCo model, which has the truth")
     args = p.parse_args()
-    if args.machine:
-        EXPERIMENTS.clear()
-        EXPERIMENTS.update(of_model(args.machine))
-    keep_nothing()
-    until = time.monotonic() + 60 * args.minutes
-    kept = json.loads(args.keep.read_text()) if args.keep and args.keep.exists() else {}
-    names = [name for name in EXPERIMENTS if name.startswith(args.only)]
-    for count, name in itertools.product(range(args.seeds), names):
-        rows = kept.setdefault(name, [])
-        if len(rows) <= count and time.monotonic() < until:
-            repeat(name, rows, args.first_seed + count)
-            if args.keep:  # a run that is killed leaves all that was done
-                part = args.keep.with_name(args.keep.name + ".part")
-                part.write_text(json.dumps(kept))
-                part.replace(args.keep)
-    done = dict.fromkeys(whole(name) for name in EXPERIMENTS if len(kept.get(name, [])) > 1)
+    begin(args.machine)
+    kept: Counted = json.loads(args.keep.read_text()) if args.keep and args.keep.exists() else {}
+    names = [name for name in EXPERIMENTS if name.startswith(tuple(args.only))]
+    seeds = range(args.first_seed, args.first_seed + args.seeds)
+    each = itertools.product(seeds, names)
+    count(kept, [(name, seed) for seed, name in each if str(seed) not in kept.get(name, {})], args)
+    done = dict.fromkeys(whole(name) for name in EXPERIMENTS if len(kept.get(name, {})) > 1)
     tables = {name: section(name, kept) for name in done}
     print("\n".join(tables.values()))
     if args.page:
