@@ -103,9 +103,10 @@ def _found(
         Pieces of its moves, the recording that they are of, and the reference.
     """
     sliding, rec, reference = measured
-    unit = bench.machine.joints[joint - 1].unit
-    turns = unit == "rad"
-    sliding, coupled = with_coupling(sliding, turns)
+    own = bench.machine.joints[joint - 1]
+    unit, turns = own.unit, own.unit == "rad"
+    counted = replace(sliding, count=1.0 / abs(own.counts_per_unit))
+    sliding, coupled = with_coupling(counted, turns)
     found = fit_line(sliding, turns)
     if ramps := ramped(rec, reference, joint, found):
         sliding, found, coupled = surest(sliding, found, coupled, ramps, turns)

@@ -103,7 +103,7 @@ def _measure(bench: Bench, joint: int, place: Array) -> Sliding:
         f"joint{joint}", PROGRAM, CHANNELS, reference=moves.reference,
         before=approach_time(bench), J=inertias,
     )
-    return weak_pieces(rec, moves, joint)
+    return replace(weak_pieces(rec, moves, joint), count=1.0 / abs(own.counts_per_unit))
 
 
 def _durations(own: JointInfo, travel: float, inertia: float) -> tuple[list[float], float]:

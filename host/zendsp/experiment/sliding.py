@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.series import stretches
-from zendsp.experiment.estimates import NORMAL, least_squares, smoothed, widest
+from zendsp.experiment.estimates import NORMAL, least_squares, smoothed, widest, widest_of_few
 from zendsp.experiment.lab import playing
 from zendsp.experiment.result import Estimate, FoundEffect
 from zendsp.recording import Recording
@@ -41,6 +41,9 @@ class Sliding:
         By how much the others were displaced, RMS of the joint where that is most, rad.
     further : tuple of ndarray
         What else the torque may be proportional to.
+    planned : tuple of ndarray
+        What the plan says that the acceleration, and the first of ``further``, depend on, where
+        noise is a part of what is measured of these two.
     turns : mapping of int to ndarray
         Acceleration of each joint that was to be held, rad/s^2, by its number.
     scatter : ndarray, optional
@@ -52,6 +55,11 @@ class Sliding:
     unsure : tuple of ndarray
         Standard deviations of what was taken off the torque so: in each, all pieces are off by the
         same share, N m.
+    count : float
+        One count of the encoder, rad (m).
+    turned : tuple of ndarray, optional
+        Means of the cosine and the sine of the position, where a piece is too long for those of its
+        mean position: over 0.1 rad they differ by 0.04 %.
     """
 
     part: npt.NDArray[np.int64]
@@ -62,11 +70,18 @@ class Sliding:
     acceleration: Array
     others: float = 0.0
     further: tuple[Array, ...] = ()
+    planned: tuple[Array, ...] = ()
     scatter: Array | None = None
     step: float = 0.0
     turns: Mapping[int, Array] = field(default_factory=dict)
     inertia: tuple[float, float] | None = None
     unsure: tuple[Array, ...] = ()
+    count: float = 0.0
+    turned: tuple[Array, Array] | None = None
+
+    def turning(self) -> tuple[Array, Array]:
+        """Cosine and sine of the position of each piece."""
+        return self.turned or (np.cos(self.q), np.sin(self.q))
 
     def rounded(self) -> Array:
         """Standard deviation of what the mean torque of each piece is rounded by. A command that
@@ -149,7 +164,7 @@ def constant_speed_pieces(
         if last - first < SHORTEST:
             continue
         for piece in np.array_split(np.arange(first, last), 10):
-            means = (x[piece].mean() for x in (q, qd, tau - g, g, qdd))
+            means = (x[piece].mean() for x in (q, qd, tau - g, g, qdd, np.cos(q), np.sin(q)))
             pieces.append((part, *means, tau[piece].std()))
             others_turn.append(turns[piece].mean(axis=0))
     columns = np.array(pieces).T
@@ -157,8 +172,9 @@ def constant_speed_pieces(
     others = np.delete(away.std(axis=0), joint - 1).max(initial=0.0)
     found = Sliding(columns[0].astype(np.int64), *columns[1:6])
     return replace(
-        found, others=float(others), scatter=columns[6], turns=held_turns(others_turn, joint)
-    )
+        found, others=float(others), scatter=columns[8], turns=held_turns(others_turn, joint),
+        turned=(columns[6], columns[7]),
+    )  # fmt: skip
 
 
 def held_turns(turns: Sequence[Array], joint: int) -> dict[int, Array]:
@@ -216,10 +232,15 @@ def fit_friction(
     place, so the intervals are widened by what pieces of one part, or of one place, have in common.
     ``slow``: friction falls with speed below this one, rad/s; ``about``: this speed is itself
     uncertain. ``both``: friction is the same in both directions.
+
+    The encoder's noise is in the measured acceleration, and the loop answers it with torque. Where
+    there is a plan both are taken as it and the other columns explain them (two-stage least
+    squares): noise is in no plan.
     """
     A, others = _columns(sliding, weighs, unknown, slow, about)
     weight = sliding.weights()
-    weighted, torque = weight[:, None] * A, weight * sliding.torque
+    measured, torque = weight[:, None] * A, weight * sliding.torque
+    weighted = _explained(sliding, measured, 6 if weighs else 4) if unknown else measured
     shared = np.eye(A.shape[1])
     if both:
         shared[2, 0] = shared[3, 1] = 1.0
@@ -230,16 +251,19 @@ def fit_friction(
     ways[0, [0, 2]] = ways[1, [1, 3]] = 0.5
     ways[2, [0, 2]] = ways[3, [1, 3]] = 0.5, -0.5
     apart = ways @ x
-    alike = []
-    if unknown:
-        parts, places = len(np.unique(sliding.part)), sliding.places()
-        alike = [(sliding.part, parts - len(x)), (places, len(np.unique(places)) - 1)]
     carried = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
     most = np.zeros((1, len(x)))  # the weight where it is largest
     if weighs:
         most[0, 4:6] = A[int(np.argmax(np.abs(carried))), 4:6]
     every = np.vstack([np.eye(len(x)), ways, most])
-    wide = widest(weighted, torque - weighted @ x, inverse, every, alike)
+    left = torque - measured @ x
+    if unknown and sliding.planned:  # each part speeds up and slows down: it tells everything
+        groups = sliding.part, sliding.places()
+        wide = widest_of_few(weighted, left, inverse, every, groups)
+    else:
+        parts, places = len(np.unique(sliding.part)), sliding.places()
+        alike = [(sliding.part, parts - len(x)), (places, len(np.unique(places)) - 1)]
+        wide = widest(weighted, left, inverse, every, alike * unknown)
     # what a command is rounded by is the same in all of a part
     error = weighted * (weight * sliding.rounded())[:, None]
     sums = np.stack([error[sliding.part == k].sum(axis=0) for k in np.unique(sliding.part)], axis=1)
@@ -252,7 +276,9 @@ def fit_friction(
         slope = blur / float(np.abs(sliding.speed).max())  # not alike at slow and fast moves
         half[[0, 2]], width[0] = np.hypot(half[[0, 2]], blur), np.hypot(width[0], blur)
         half[[1, 3]], width[1] = np.hypot(half[[1, 3]], slope), np.hypot(width[1], slope)
-    squares = float(np.sum((weight * (sliding.torque - A @ x)) ** 2))
+    if weighs:  # the zero of the encoder is known to half a count
+        half[4:6] = np.hypot(half[4:6], NORMAL * sliding.count / 12**0.5 * np.abs(x[[5, 4]]))
+    squares = float(left @ left)
     value = {
         word: (float(x[k]), float(x[k + 1]), float(half[k]), float(half[k + 1]))
         for word, k in (("+", 0), ("-", 2))
@@ -275,6 +301,17 @@ def fit_friction(
     return replace(found, inertia=sliding.inertia or each[6 if weighs else 4])
 
 
+def _explained(sliding: Sliding, A: Array, first: int) -> Array:
+    """Weighted columns, of which the ``first`` and the one after it are as the plan, where there is
+    one, and the others explain them.
+    """
+    if not sliding.planned:
+        return A
+    plan = sliding.weights()[:, None] * np.stack(sliding.planned, axis=1)
+    Z = np.hstack([np.delete(A, [first, first + 1], axis=1), plan])
+    return np.asarray(Z @ np.linalg.lstsq(Z, A, rcond=None)[0])
+
+
 def _columns(
     sliding: Sliding, weighs: bool, unknown: bool, slow: float, about: bool
 ) -> tuple[Array, int]:
@@ -284,7 +321,7 @@ def _columns(
     up = sliding.speed > 0
     columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
     if weighs:
-        columns += [np.cos(sliding.q), np.sin(sliding.q)]
+        columns += sliding.turning()
     if unknown and sliding.inertia is None:
         columns.append(sliding.acceleration)
     columns += sliding.further
