@@ -18,7 +18,14 @@ import zendsp
 from zendsp.errors import ModelError, Refused, Unmeasured
 from zendsp.experiment import Estimate, Lab, Result, push
 from zendsp.experiment.any_friction import _holding_none
-from zendsp.experiment.breakaway import Push, Pushes, _report_stiffness, breakaway
+from zendsp.experiment.breakaway import (
+    Push,
+    Pushes,
+    _report,
+    _report_stiffness,
+    breakaway,
+    weight_told,
+)
 from zendsp.experiment.circle import circle
 from zendsp.experiment.friction_curve import friction_curve
 from zendsp.experiment.gentle import ROWS
@@ -449,6 +456,22 @@ def test_a_weight_that_is_not_well_known_is_not_taken_off() -> None:
     assert "carries 8 ± 0.6 N m beside a friction of 1.5" in _unfit(axis)
     assert "--model" in _unfit(axis)
     assert not _unfit(replace(axis, load=Load(0.1, sin=8.0)))
+
+
+def test_friction_that_differs_by_direction_is_no_weight_where_a_motion_told_them_apart() -> None:
+    """With 14 N m one way and 8 the other a bar of 3.9 N m by cos q was stated to weigh -0.996 ±
+    0.005 and, by sin q, 2.213 ± 0.005.
+    """
+    told, hidden = (Load(0.16, cos=-3.9, uneven=x, weight_std=0.05) for x in (3.0, 0.0))
+    axis = axis_of(1, JOINT, 0.0, told, 11.0)
+    assert weight_told(axis) and not weight_told(replace(axis, load=hidden))
+    one = Push(0.0, 14.0, 14.0, 0.0, 0.0, 0.0, 0.001)
+    result = Result("breakaway", "Breakaway", "arm")
+    by = {1: [one, one], -1: [one._replace(torque=8.0, fast_torque=8.0)] * 2}
+    _report(result, Pushes(axis, True, by))
+    found = result.values["breakaway1_ccw"], result.values["breakaway1_cw"]
+    assert [x.value for x in found] == pytest.approx([14.0, 8.0])
+    assert all(x.std >= 0.05 for x in found), "they are no surer than the weight that was taken off"
 
 
 def test_the_stiffness_of_bristles_is_told_only_where_counts_resolve_it() -> None:

@@ -118,8 +118,7 @@ class Pushes:
 
 def _pushes(pusher: Pusher, lab: Lab, joint: int, count: int) -> Pushes:
     known, axis = pusher.known, pusher.known.axes[joint]
-    turning = axis.unit == "rad" and not axis.load.weighs
-    pushes = Pushes(axis, known.apart or turning)
+    pushes = Pushes(axis, known.apart or weight_told(axis))
     places = lab.random.uniform(*axis.places, count)
     for direction in (1, -1):
         if direction < 0 and pushes.apart:
@@ -128,6 +127,13 @@ def _pushes(pusher: Pusher, lab: Lab, joint: int, count: int) -> Pushes:
     differ = [push.torque - push.fast_torque for way in pushes.by.values() for push in way]
     pushes.early = too_early(axis, differ)
     return pushes
+
+
+def weight_told(axis: Axis) -> bool:
+    """Whether a joint's motion tells its weight from a friction that differs by direction: it turns
+    and carries none, or both were found.
+    """
+    return axis.load.uneven != 0.0 or (axis.unit == "rad" and not axis.load.weighs)
 
 
 def too_early(axis: Axis, apart: Sequence[float]) -> Estimate:
@@ -182,11 +188,12 @@ def _report(result: Result, pushes: Pushes) -> None:
 
 def _shared(pushes: Pushes) -> float:
     """Standard deviation of what all pushes share: the height of a step, what is lost to the rate
-    of the torque, and what noise adds to a largest value.
+    of the torque, what noise adds to a largest value, and a weight that was taken off.
     """
     noise = float(np.mean([push.noise for way in pushes.by.values() for push in way]))
-    step = pushes.axis.slow * HOLD / np.sqrt(12)
-    return float(np.linalg.norm([step, pushes.early.std, noise]))
+    step, load = pushes.axis.slow * HOLD / np.sqrt(12), pushes.axis.load
+    weight = load.weight_std if load.uneven else 0.0
+    return float(np.linalg.norm([step, pushes.early.std, noise, weight]))
 
 
 def _report_weighing(result: Result, pushes: Pushes) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError, Refused, Unmeasured, ZendspError
+from zendsp.experiment.coarse import cutoff_for
 from zendsp.experiment.early_end import LOST_S, Fetched, keep_early, not_waiting
 from zendsp.experiment.names import result_file
 from zendsp.experiment.registry import EXPERIMENTS
@@ -302,7 +303,10 @@ class Bench:
         if program == HOLDS:
             channels = [*channels, "blocked"]
             done = done or _blocked
-            values = {"stalls": True, "learns": True, **values}
+            J = np.atleast_1d(np.asarray(values.get("J", target["J"]), dtype=np.float64))
+            band = float(values.get("bandwidth", target["bandwidth"]))
+            quiet = cutoff_for(self.machine.joints, J, band)
+            values = {"stalls": True, "learns": True, "cutoff": quiet, **values}
         here = self.held_here()
         if here is not None and "taken" in values:  # push.c
             values |= {"carried": here.tolist(), "taken": True}

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import Refused, ZendspError
+from zendsp.experiment.coarse import widest_bandwidth
 from zendsp.experiment.gentle import CHANNELS, PEAK, PROGRAM, stride_of
 from zendsp.experiment.lab import Bench
 from zendsp.experiment.watch import BEARS
@@ -39,7 +40,7 @@ def standing(bench: Bench, weight: Array | None = None, takes_model: bool = Fals
     weight : ndarray, optional
         What a model says that the joints weigh there, N m (N): the loop begins with it. Without it
         the loop is as stiff as a joint asks for that might weigh half of its torque_max and may not
-        sink far or fast, and as the sampling bears.
+        sink far or fast, and as sampling and encoders bear.
     takes_model : bool
         Whether the experiment takes a model.
 
@@ -106,7 +107,7 @@ def _stiffer(bench: Bench) -> dict[str, float]:
         room = max(min(q - own.position_min, own.position_max - q), 1e-6)
         wanted = max(wanted, USUAL * pull / (e * w) / (ROOM * own.speed_max))
         wanted = max(wanted, USUAL * (pull / w**2 / (ROOM * room)) ** 0.5)
-    most = BEARS * target.status().rate_hz / (4.0 * pi)
+    most = min(BEARS * target.status().rate_hz / (4.0 * pi), widest_bandwidth(infos, J))
     return {"bandwidth": min(wanted, most)} if min(wanted, most) > USUAL else {}
 
 
