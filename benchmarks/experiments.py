@@ -5,6 +5,7 @@ hold what the machine really has?
     python benchmarks/experiments.py --keep runs.json --page docs/measurements/experiments.md
     python benchmarks/experiments.py --keep runs.json --minutes 20 --jobs 2   # go on, two at once
     python benchmarks/experiments.py --machine slide.xml --seeds 40     # what fits a MuJoCo model
+    python benchmarks/experiments.py --machine bar.xml --machine-option counts=6283
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -64,10 +66,12 @@ def _wam(joint: int) -> Callable[[Lab], Result]:
     return lambda lab: wam_friction(lab, joints=(joint,), narrow=False)
 
 
-def _any(machine: str, make: Callable[..., Result], joint: int) -> Callable[[Lab], Result]:
+def _any(
+    machine: str, make: Callable[..., Result], joint: int, more: Sequence[str] = ()
+) -> Callable[[Lab], Result]:
     def made(lab: Lab) -> Result:
         step = [f"substep={SUBSTEP[machine]}"] if machine in SUBSTEP else []
-        options = [f"seed={lab.seed}", *step]
+        options = [f"seed={lab.seed}", *step, *more]
         arguments = [part for option in options for part in ("--machine-option", option)]
         with local(machine, clock="fast", options=arguments) as target:
             return make(Lab(lab.folder, target, seed=lab.seed), joints=(joint,))
@@ -75,10 +79,10 @@ def _any(machine: str, make: Callable[..., Result], joint: int) -> Callable[[Lab
     return made
 
 
-def of_model(file: Path) -> dict[str, Repeated]:
+def of_model(file: Path, options: Sequence[str] = ()) -> dict[str, Repeated]:
     """The friction experiments of each joint of a MuJoCo model, and what the file says of it.
     Inertia and weight of a joint that carries others depend on how these hang: they are compared
-    where the joint stands alone.
+    where the joint stands alone. ``options``: of the machine, as KEY=VALUE.
     """
     import mujoco
 
@@ -86,7 +90,7 @@ def of_model(file: Path) -> dict[str, Repeated]:
     data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, mass)
-    found = {}
+    one, found = partial(_any, str(file), more=options), {}
     for j in range(model.nv):
         n, loss, damping = j + 1, float(model.dof_frictionloss[j]), float(model.dof_damping[j])
         truth = {f"coulomb{n}{end}": loss for end in ("", "_pos", "_neg")}
@@ -97,8 +101,8 @@ def of_model(file: Path) -> dict[str, Repeated]:
             ("high-speed", high_speed, ("level", "viscous")),
         ):
             own = dict(zip((f"{each}{n}" for each in names), (loss, damping), strict=False))
-            found[f"{name}, {file.stem}, joint {n}"] = Repeated(_any(str(file), make, n), own)
-        found[f"friction, {file.stem}, joint {n}"] = Repeated(_any(str(file), friction, n), truth)
+            found[f"{name}, {file.stem}, joint {n}"] = Repeated(one(make, n), own)
+        found[f"friction, {file.stem}, joint {n}"] = Repeated(one(friction, n), truth)
         if model.nv == 1:
             level = float(data.qfrc_bias[0])
             if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
@@ -109,9 +113,7 @@ def of_model(file: Path) -> dict[str, Repeated]:
                 sine = float(data.qfrc_bias[0])
                 truth = truth | {"inertia1": float(mass[0, 0]), "weight_sine1": sine,
                                  "weight_cosine1": level}  # fmt: skip
-        found[f"mechanical, {file.stem}, joint {n}"] = Repeated(
-            _any(str(file), mechanical, n), truth
-        )
+        found[f"mechanical, {file.stem}, joint {n}"] = Repeated(one(mechanical, n), truth)
     return found
 
 
@@ -160,14 +162,14 @@ def keep_nothing() -> None:
     Recording.save = lambda self, path: Path(path)  # type: ignore[method-assign]
 
 
-def begin(machine: Path | None, parent: int = 0) -> None:
+def begin(machine: Path | None, options: Sequence[str], parent: int = 0) -> None:
     """What each process that makes copies does first; one of another's ends with that."""
     if parent:
         die_with(parent)
     keep_nothing()
     if machine:
         EXPERIMENTS.clear()
-        EXPERIMENTS.update(of_model(machine))
+        EXPERIMENTS.update(of_model(machine, options))
 
 
 def repeat(name: str, seed: int) -> Copy:
@@ -190,7 +192,8 @@ def count(kept: Counted, wanted: list[tuple[str, int]], args: argparse.Namespace
     until = time.monotonic() + 60 * args.minutes
     left, made = iter(wanted), dict[Future[Copy], tuple[str, int]]()
     spawn = get_context("spawn")  # a link has threads, which a fork would not have
-    with ProcessPoolExecutor(args.jobs, spawn, begin, (args.machine, os.getpid())) as pool:
+    made_of = args.machine, args.machine_option, os.getpid()
+    with ProcessPoolExecutor(args.jobs, spawn, begin, made_of) as pool:
         while True:
             room = args.jobs - len(made) if time.monotonic() < until else 0
             for name, seed in itertools.islice(left, room):
@@ -279,8 +282,9 @@ def main() -> None:
     p.add_argument("--keep", type=Path, help="go on from this file, and keep the repetitions there")
     p.add_argument("--page", type=Path, help="write the tables there (Markdown)")
     p.add_argument("--machine", type=Path, help="instead: a MuJoCo model, which has the truth")
+    p.add_argument("--machine-option", action="append", default=[], help="of it: KEY=VALUE")
     args = p.parse_args()
-    begin(args.machine)
+    begin(args.machine, args.machine_option)
     kept: Counted = json.loads(args.keep.read_text()) if args.keep and args.keep.exists() else {}
     names = [name for name in EXPERIMENTS if name.startswith(tuple(args.only))]
     seeds = range(args.first_seed, args.first_seed + args.seeds)
