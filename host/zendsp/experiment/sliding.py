@@ -257,19 +257,7 @@ def fit_friction(
         most[0, 4:6] = A[int(np.argmax(np.abs(carried))), 4:6]
     every = np.vstack([np.eye(len(x)), ways, most])
     left = torque - measured @ x
-    if unknown and sliding.planned:  # each part speeds up and slows down: it tells everything
-        groups = sliding.part, sliding.places()
-        wide = widest_of_few(weighted, left, inverse, every, groups)
-    else:
-        parts, places = len(np.unique(sliding.part)), sliding.places()
-        alike = [(sliding.part, parts - len(x)), (places, len(np.unique(places)) - 1)]
-        wide = widest(weighted, left, inverse, every, alike * unknown)
-    # what a command is rounded by is the same in all of a part
-    error = weighted * (weight * sliding.rounded())[:, None]
-    sums = np.stack([error[sliding.part == k].sum(axis=0) for k in np.unique(sliding.part)], axis=1)
-    for off in sliding.unsure:
-        sums = np.column_stack([sums, weighted.T @ (weight * off)])
-    wide = np.hypot(wide, NORMAL * np.linalg.norm(every @ inverse @ sums, axis=1))
+    wide = _half_widths(sliding, weighted, left, inverse, every, unknown)
     half, width = np.split(wide, [len(x)])
     if unknown:  # the others give way in the direction of the move, and change that weight
         blur = NORMAL * sliding.others * float(np.hypot(*x[4:6])) if weighs else 0.0
@@ -299,6 +287,25 @@ def fit_friction(
     if not unknown:
         return found
     return replace(found, inertia=sliding.inertia or each[6 if weighs else 4])
+
+
+def _half_widths(
+    sliding: Sliding, A: Array, left: Array, inverse: Array, ways: Array, unknown: bool
+) -> Array:
+    """Half widths of combinations (rows of ``ways``) of a solution, by weighted columns ``A``."""
+    parts, places = len(np.unique(sliding.part)), sliding.places()
+    if unknown and sliding.planned:  # each part speeds up and slows down: it tells everything
+        wide = widest_of_few(A, left, inverse, ways, (sliding.part, places))
+    else:
+        alike = [(sliding.part, parts - A.shape[1]), (places, len(np.unique(places)) - 1)]
+        wide = widest(A, left, inverse, ways, alike * unknown)
+    weight = sliding.weights()
+    # what a command is rounded by is the same in all of a part
+    error = A * (weight * sliding.rounded())[:, None]
+    sums = np.stack([error[sliding.part == k].sum(axis=0) for k in np.unique(sliding.part)], axis=1)
+    for off in sliding.unsure:
+        sums = np.column_stack([sums, A.T @ (weight * off)])
+    return np.hypot(wide, NORMAL * np.linalg.norm(ways @ inverse @ sums, axis=1))
 
 
 def _explained(sliding: Sliding, A: Array, first: int) -> Array:
