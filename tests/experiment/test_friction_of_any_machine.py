@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import zendsp
 from zendsp.errors import ModelError, Refused, Unmeasured
@@ -196,11 +197,36 @@ def test_a_push_has_time_for_the_way_from_where_a_simulated_machine_begins_again
         return Pushed(q=np.array([[0.1], [0.9]]), phase=np.array([1.0, 2.0]))
 
     monkeypatch.setattr(push, "push_program", lambda: "")
-    bench: Any = SimpleNamespace(record=recorded, seen={})
+    machine = SimpleNamespace(joints=(JOINT,))
+    bench: Any = SimpleNamespace(record=recorded, seen={}, machine=machine)
     pusher = Pusher(bench, unknown(Load(3.0)))
     pusher.push("first", 1, 1, 0.9, 0.5)
     pusher.push("second", 1, 1, 0.9, 0.5)
     assert asked[1] == asked[0] > push.TRAVEL_S
+
+
+@pytest.mark.parametrize("counts", [100, 131072])
+def test_what_holds_joints_beside_a_push_bears_the_counts_of_their_encoders(
+    counts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A tilt of 4096 counts a turn was at its limit while the pan was pushed, and all ended."""
+    asked: list[float] = []
+
+    def recorded(*_: Any, cutoff: float, **__: Any) -> Any:
+        asked.append(cutoff)
+        raise Unmeasured("enough")
+
+    monkeypatch.setattr(push, "push_program", lambda: "")
+    monkeypatch.setattr(push, "positions", lambda *_: [0.0])
+    own = structs.replace(JOINT, counts_per_unit=counts / (2.0 * np.pi))
+    target = SimpleNamespace(status=lambda: None)
+    machine = SimpleNamespace(joints=(own,))
+    bench: Any = SimpleNamespace(record=recorded, seen={}, machine=machine, target=target)
+    pusher = Pusher(bench, unknown(Load(0.3)))
+    for values in ({}, {"cutoff": 25.0}):
+        with pytest.raises(Unmeasured, match="enough"):
+            pusher.push("one", 1, 1, 0.9, 0.5, **values)
+    assert asked == [80.0 if counts > 100 else pytest.approx(10.0 * push.STIFF / 2.0 / np.pi), 25.0]
 
 
 def test_on_the_real_clock_a_push_is_recorded_until_soon_after_the_joint_is_held_again(

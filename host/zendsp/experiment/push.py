@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from zendsp.errors import Unmeasured
-from zendsp.experiment.joints import USED, Array, Known
+from zendsp.experiment.coarse import cutoff_for
+from zendsp.experiment.joints import STIFF, USED, Array, Known
 from zendsp.experiment.knowing import PROGRAM
 from zendsp.experiment.lab import Bench, push_program
 from zendsp.link import Target
@@ -56,8 +57,11 @@ class Pusher:
         gains = {"Kp": known.gain("kp"), "Kd": known.gain("kd"), "brake": known.gain("brake")}
         reset = 0.0 if known.program != PROGRAM else RESET
         # one count is seen as so much speed: two of them are none that ends a push
-        cutoff = values.get("cutoff", CUTOFF)
+        J = np.array(known.gain("kd")) / (2.0 * STIFF)
+        usual = cutoff_for(self.bench.machine.joints, J, STIFF / (2.0 * np.pi))
+        cutoff = values.get("cutoff", CUTOFF if known.program != PROGRAM else usual)
         fastest = USED * axis.speed + 4.0 * np.pi * cutoff * abs(axis.count)
+        values = {"cutoff": cutoff, **values}
         limits = {"lower": axis.low, "upper": axis.high, "fastest": fastest}
         given = {"reset": reset, "taken": False, **limits, **gains, **known.weights(), **values}
         try:

@@ -305,7 +305,7 @@ def _half_widths(
     sums = np.stack([error[sliding.part == k].sum(axis=0) for k in np.unique(sliding.part)], axis=1)
     for off in sliding.unsure:
         sums = np.column_stack([sums, A.T @ (weight * off)])
-    return np.hypot(wide, NORMAL * np.linalg.norm(ways @ inverse @ sums, axis=1))
+    return np.asarray(np.hypot(wide, NORMAL * np.linalg.norm(ways @ inverse @ sums, axis=1)))
 
 
 def _explained(sliding: Sliding, A: Array, first: int) -> Array:
