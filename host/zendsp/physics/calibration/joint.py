@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from zendsp.physics.effects import get_effect
 from zendsp.physics.effects.base import Along, Facts, Scale
-from zendsp.physics.kernel.native import native
+from zendsp.physics.kernel.native import native, swung
 from zendsp.physics.kernel.signals import Measurement, Motion, means, thin_measurement
 from zendsp.physics.model import TREES, Model, Term, per_joint
 from zendsp.physics.robots.bodies import Links, body_terms
@@ -461,6 +461,7 @@ def along(record: JointRecord, model: Model) -> Along:
         sample_time=record.sample_time,
         inertia=effective_inertia(record, model),
         gravity=mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0,
+        swung=swung,
         waves=record.waves,
         spring=_spring_of(model, record.joint),
     )

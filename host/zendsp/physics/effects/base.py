@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -136,6 +137,8 @@ class Along:
         What ``wave`` has worked out: the recording keeps it.
     spring : tuple of float
         Stiffness, damping and load inertia of a model's transmission; empty where it is rigid.
+    swung : callable
+        ``swung`` of the kernel, which stands above the effects.
     """
 
     q: Array
@@ -146,6 +149,7 @@ class Along:
     sample_time: float
     inertia: Array
     gravity: float
+    swung: Callable[[Array, float, float, float], Array]
     waves: dict[float, tuple[Array, Array]] = field(default_factory=dict)
     spring: tuple[float, ...] = ()
 
@@ -462,7 +466,7 @@ class Effect:
                 return parameter
         raise KeyError(name)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters, in the order of the C function."""
         return tuple(p.name for p in self.parameters)

@@ -35,14 +35,19 @@ def _through_spring(along: Along, torque: Array) -> Array:
     """
     if not along.spring:
         return torque
-    from scipy.signal import bilinear, lfilter  # takes a second to import
-
     k, c, load = along.spring
     whole = float(np.mean(along.inertia))
     reduced = load * max(whole - load, MOTOR * whole) / whole
-    above, below = bilinear([c, k], [reduced, c, k], 1.0 / along.sample_time)
-    return np.asarray(lfilter(above, below, torque))
-
+    # Tustin's rule, the coefficients of 1, 1/z and 1/z² (SciPy's way there takes 2 ms a torque)
+    rate = 2.0 / along.sample_time
+    above = np.array([k + c * rate, 2.0 * k, k - c * rate])
+    below = above + reduced * rate**2 * np.array([1.0, -2.0, 1.0])
+    above, below = above / below[0], below / below[0]
+    driven = np.zeros(len(torque) + 1)  # its last number moves nothing any more
+    driven[:-1] = above[0] * torque
+    driven[1:-1] += above[1] * torque[:-1]
+    driven[2:-1] += above[2] * torque[:-2]
+    return along.swung(driven, 1.0, -below[1], -below[2])[1:]
 
 EFFECT = Effect(
     name="transmission_error",
