@@ -13,6 +13,8 @@ from makers import N, Q, T, U, bag, hdf5, json_mcap, mdf, tdms, tdms_with_a_time
 
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
+from zendsp.recording.formats.mat import _read_v5
+from zendsp.recording.formats.mat5 import read_plain
 
 
 def test_time_stamps_of_parquet_are_seconds(tmp_path: Path) -> None:
@@ -40,6 +42,35 @@ def test_durations_of_parquet_are_seconds(tmp_path: Path) -> None:
         assert table.units["time"] == "s"
 
 
+@pytest.mark.parametrize("packed", [False, True])
+def test_plain_matrices_of_matlab_are_read_as_scipy_reads_them(
+    packed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Importing SciPy's reader takes a third of a second."""
+    rng, path = np.random.default_rng(0), tmp_path / "run.mat"
+    plain = {
+        "t": T, "q": rng.standard_normal((len(T), 3)), "k": np.arange(4, dtype=np.int16),
+        "few": np.array([[1, 2]], np.uint8), "none": np.zeros((0, 3)),
+        "cube": np.float32(rng.standard_normal((3, 4, 2))), "a_long_name_of_a_gain": 2.5,
+    }  # fmt: skip
+    scipy.io.savemat(path, plain, do_compression=packed)
+    expected = scipy.io.loadmat(path)
+    with monkeypatch.context() as scipyless:
+        scipyless.setattr(scipy.io, "loadmat", None)
+        found = _read_v5(path)
+    assert list(found) == list(plain)
+    for name, values in found.items():
+        np.testing.assert_array_equal(values, expected[name], strict=True)
+    for other in (np.ones(3) * 1j, "text", np.array([True]), {"of": 1.0}):
+        scipy.io.savemat(path, {**plain, "other": other}, do_compression=packed)
+        assert read_plain(path) is None, other
+        assert list(_read_v5(path)) == [*plain, "other"]
+    cut = path.read_bytes()
+    for end in (len(cut) - 1, len(cut) // 2, 150, 129, 100):
+        path.write_bytes(cut[:end])
+        assert read_plain(path) is None, end
+
+
 @pytest.mark.parametrize("version", [5, 7.3])
 def test_an_object_of_matlab_is_no_column_and_the_way_to_its_numbers_is_told(
     version: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -47,7 +78,7 @@ def test_an_object_of_matlab_is_no_column_and_the_way_to_its_numbers_is_told(
     """The reference of a timeseries, six whole numbers, had been read as a position."""
     path = tmp_path / "run.mat"
     if version == 5:
-        scipy.io.savemat(path, {"t": T})
+        scipy.io.savemat(path, {"t": T, "who": "me"})  # what SciPy alone reads
         kept = [("q_ts", "MCOS", "timeseries", np.zeros((6, 1), np.uint32))]
         opaque = np.array(kept, dtype=[(key, object) for key in ("s0", "s1", "s2", "arr")])
         found = {"t": T[:, np.newaxis], "None": opaque.view(scipy.io.matlab.MatlabOpaque)}

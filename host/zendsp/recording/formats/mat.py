@@ -1,4 +1,5 @@
-"""MATLAB files: version 5 written and read through SciPy, version 7.3 (HDF5) read through h5py.
+"""MATLAB files: version 5 written through SciPy and read by ``mat5`` or SciPy, version 7.3 (HDF5)
+read through h5py.
 
 A recording is written as ``data``, a matrix with one column per signal, time first; ``names`` and
 ``units``, cell arrays with one entry per column; and ``zendsp``, the metadata as JSON text.
@@ -25,6 +26,7 @@ from zendsp.errors import RecordingError
 from zendsp.extras import need
 from zendsp.recording.formats.clocks import Series, on_one_clock
 from zendsp.recording.formats.hdf5 import ELSEWHERE, leads_out
+from zendsp.recording.formats.mat5 import read_plain
 from zendsp.recording.formats.raw import Raw, check_room, upright
 
 if TYPE_CHECKING:
@@ -113,6 +115,9 @@ def _series(found: Raw) -> list[Series]:
 
 
 def _read_v5(path: Path) -> dict[str, Any]:
+    plain = read_plain(path)
+    if plain is not None:
+        return dict(plain)
     import scipy.io
 
     try:
