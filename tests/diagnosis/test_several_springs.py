@@ -10,6 +10,7 @@ import pytest
 
 from zendsp.diagnosis.decide.assemble import _beside_other_springs
 from zendsp.diagnosis.decide.thresholds import SPRINGS_SHIFT
+from zendsp.diagnosis.transmission import other_springs
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import Handle
 
@@ -37,3 +38,51 @@ def test_springs_of_two_joints_hold_what_they_shift_each_other(springs: tuple[bo
     apart = SPRINGS_SHIFT * STIFFNESS if all(springs) else 0.0
     assert np.sqrt(agreed[1].covariance[0, 0]) == pytest.approx(np.hypot(STD, apart))
     assert agreed[1].covariance[1, 1] == pytest.approx(0.01**2), "of the stiffness alone"
+
+
+@pytest.mark.parametrize(("goal", "passes"), [(np.inf, 6), (900.0, 6), (700.0, 3)])
+def test_a_fit_of_springs_ends_where_it_would_not_reach_its_goal(
+    goal: float, passes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = iter([2000.0, 1200.0, 1170.0, 640.0, 639.5, 639.0])
+    arm: Any = SimpleNamespace(links=None)
+    chain = SimpleNamespace(smoothed=lambda _: (0.0, None), link_motion=lambda _: None)
+    for name, stand_in in {
+        "path_along": None, "chain_of": chain, "_strength": np.ones(1), "strongest": np.ones(1),
+        "ArmMotion": arm,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(other_springs, name, lambda *_, stand_in=stand_in: stand_in)
+    for name in ("_climbed", "_by_newton"):
+        monkeypatch.setattr(other_springs, name, lambda _path, model, _arm: (model, next(values)))
+    anything: Any = None
+    _, value = other_springs._likeliest(anything, anything, anything, arm, goal)
+    assert [2000.0, 1200.0, 1170.0, 640.0, 639.5, 639.0][passes - 1] == value
+
+
+def test_what_begins_likely_is_the_goal_of_other_sets_of_springs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fit of two springs, of which one was none, had taken twenty times that of the true one."""
+    begin = {(1,): 900.0, (2,): 300.0, (1, 2): 250.0}
+    ends = {(1,): 800.0, (2,): 200.0, (1, 2): 190.0}
+    goals: dict[tuple[int, ...], float] = {}
+
+    def likeliest(_rec: Any, _data: Any, model: Any, _arm: Any, goal: float) -> tuple[Any, float]:
+        goals[model] = goal
+        return model, ends[model]
+
+    monkeypatch.setattr(other_springs, "with_springs_at", lambda _, some: tuple(sorted(some)))
+    monkeypatch.setattr(
+        other_springs, "arm_motion", lambda _r, _d, model: SimpleNamespace(deviance=begin[model])
+    )
+    monkeypatch.setattr(other_springs, "_likeliest", likeliest)
+    number = SimpleNamespace(value=1.0)
+    spring = SimpleNamespace(parameters={"load_inertia": number}, value=lambda _: 1.0)
+    monkeypatch.setattr(other_springs, "springs_of", lambda _: {1: spring, 2: spring})
+    monkeypatch.setattr(other_springs, "replace", lambda number, value: number)
+    monkeypatch.setattr(other_springs, "_with_numbers", lambda model, *_: model)
+    data: Any = SimpleNamespace(records=[None])
+    model: Any = None
+    assert other_springs.needed_springs(data, model, (1, 2)) == (2,)
+    assert list(goals) == [(2,), (1,), (1, 2)]
+    assert goals == {(2,): np.inf, (1,): 200.0, (1, 2): 200.0 - other_springs.LEAST_GAIN}

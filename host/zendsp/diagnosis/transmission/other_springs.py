@@ -37,6 +37,9 @@ BY = np.array([0.15, 0.7])  # logarithms by which they are changed, one after th
 LITTLE_GAIN, NOTHING, PASSES = 10.0, 1.0, 12
 BETWEEN = 0.02  # logarithms of the numbers whose values give the second derivatives
 FARTHEST, SHORTER = 0.5, (1.0, 0.5, 0.2)  # a Newton step: logarithms; parts of it that are tried
+# A fit that is of use only below some deviance ends where so many passes that gain as much as the
+# last one would not get there
+PASSES_LIKE_IT = 10.0
 
 
 def with_other_spring(
@@ -86,22 +89,54 @@ def needed_springs(data: Data, model: Model, joints: Collection[int]) -> Model |
         number, links = spring.parameters["load_inertia"], spring.value("links_inertia")
         whole = replace(number, value=links or number.value)
         model = _with_numbers(model, joint, {"load_inertia": whole})
-    asked: dict[frozenset[int], tuple[float, Model]] = {}
-
-    def ask(some: frozenset[int]) -> tuple[float, Model]:
-        if some not in asked:
-            asked[some] = _fitted(rec, data, with_springs_at(model, some))
-        return asked[some]
-
+    asked = _Asked(rec, data, model)
     some = frozenset(joints)
     while len(some) > 1:
-        value, found = ask(some)
-        less = min((some - {joint} for joint in some), key=lambda s: ask(s)[0])
-        if value < ask(less)[0] - LEAST_GAIN:
+        less = asked.likeliest([some - {joint} for joint in some])
+        value, found = asked.of(some, asked.of(less)[0] - LEAST_GAIN)
+        if value < asked.of(less)[0] - LEAST_GAIN:
             return found
         some = less
-    value, found = ask(some)
+    value, found = asked.of(some)
     return found if math.isfinite(value) else None
+
+
+class _Asked:
+    """A model with some of its springs, each fitted once."""
+
+    def __init__(self, rec: Records, data: Data, model: Model) -> None:
+        self.rec, self.data, self.model = rec, data, model
+        self._begun: dict[frozenset[int], ArmMotion | None] = {}
+        self._done: dict[frozenset[int], tuple[float, Model]] = {}
+
+    def of(self, some: frozenset[int], goal: float = math.inf) -> tuple[float, Model]:
+        """-2 log-likelihood of the model with its likeliest springs at some joints, and that model;
+        as far as it was fitted, where no more would have brought it below the ``goal``.
+        """
+        if some not in self._done:
+            model, arm = with_springs_at(self.model, some), self._motion(some)
+            done = (math.inf, model)
+            if arm is not None:
+                done = _likeliest(self.rec, self.data, model, arm, goal)[::-1]
+            self._done[some] = done
+        return self._done[some]
+
+    def likeliest(self, sets: Sequence[frozenset[int]]) -> frozenset[int]:
+        """The likeliest of some sets of joints with springs; what begins likely is fitted first."""
+        best = math.inf
+        for some in sorted(sets, key=self._begin):
+            best = min(best, self.of(some, best)[0])
+        return min(sets, key=lambda some: self.of(some)[0])
+
+    def _motion(self, some: frozenset[int]) -> ArmMotion | None:
+        if some not in self._begun:
+            model = with_springs_at(self.model, some)
+            self._begun[some] = arm_motion(self.rec, self.data, model)
+        return self._begun[some]
+
+    def _begin(self, some: frozenset[int]) -> float:
+        arm = self._motion(some)
+        return math.inf if arm is None else arm.deviance
 
 
 def likeliest_springs(data: Data, model: Model, joints: Collection[int]) -> Model:
@@ -164,9 +199,11 @@ def _value(
 
 
 def _likeliest(
-    rec: Records, data: Data, model: Model, arm: ArmMotion
+    rec: Records, data: Data, model: Model, arm: ArmMotion, goal: float = math.inf
 ) -> tuple[Model, float]:
-    """The model with the likeliest numbers of its springs, and its -2 log-likelihood."""
+    """The model with the likeliest numbers of its springs, and its -2 log-likelihood; not fitted to
+    the end where that would not bring it below a ``goal``.
+    """
     near, last = False, math.inf
     for turn in range(PASSES):
         chain = chain_of(path_along(rec, data, model, arm.links), model)
@@ -177,9 +214,10 @@ def _likeliest(
         arm = ArmMotion(chain.link_motion(states), chain, strength, value)
         path = path_along(rec, data, model, arm.links)
         model, best = (_by_newton if near else _climbed)(path, model, arm)
-        if near and last - best < NOTHING:
+        gain = last - best
+        if (near and gain < NOTHING) or best - PASSES_LIKE_IT * abs(gain) > goal:
             break
-        near = near or last - best < LITTLE_GAIN
+        near = near or gain < LITTLE_GAIN
         last = best
     return model, best
 
