@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -131,7 +132,8 @@ def _array(raw: Any) -> Array:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return [_plain(v) for v in value] if value.ndim > 1 else [_number(v) for v in value]
+        rows = value if value.ndim > 1 else value.tolist()
+        return [_plain(v) for v in rows] if value.ndim > 1 else [_number(v) for v in rows]
     if isinstance(value, float | np.floating):
         return _number(float(value))
     if isinstance(value, tuple):
@@ -142,4 +144,4 @@ def _plain(value: Any) -> Any:
 
 
 def _number(value: float) -> float | None:
-    return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+    return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
