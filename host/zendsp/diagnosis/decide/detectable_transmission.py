@@ -30,6 +30,9 @@ OF_A_START = 0.3  # of a starting gap: one as small is found from it
 # the stiffest start over the stiffest spring that is stated: at its edge of the search one of 61 Hz
 # was not named
 WITHIN = 2.0
+# standard deviations of the sensor, of a gap: of those of 1 to 4, which were 0.3 to 1.2 counts, two of
+# four were "complete"
+ABOVE_SENSOR = 6.0
 
 
 def detectable_transmissions(
@@ -80,7 +83,8 @@ def _span(effect: Effect, joint: int, known: Facts) -> tuple[Term, float]:
     numbers = {"load_inertia": load, "links_inertia": known.links}
     if effect.name == "backlash":
         _, contact = transmission_limits(known)
-        numbers |= {"gap": OF_A_START * min(sizes), "stiffness": contact}
+        least = max(OF_A_START * min(sizes), ABOVE_SENSOR * known.sensor)
+        numbers |= {"gap": least, "stiffness": contact}
         largest = NOT_SMALL * known.scale.position
     else:
         numbers["stiffness"], largest = max(sizes) / WITHIN, min(sizes)
