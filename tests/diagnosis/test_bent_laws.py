@@ -136,6 +136,23 @@ def test_a_law_leaves_what_a_refinement_of_its_mechanism_takes_up(
     assert judge._leaves_more(first, [first, patch], [first], None) is much
 
 
+@pytest.mark.parametrize(("effect", "own"), [("torque_offset", 2), ("torque_gain", 1)])
+def test_a_constant_and_a_law_of_its_mechanism_are_findings_of_their_own(
+    effect: str, own: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A dead zone of 3.4 % of the torque "bent" the constant of an uneven friction, 9.9 %, and
+    neither was named, though nothing stayed unexplained beside both.
+    """
+    first, zone = piece(0.099, 20.0, 5000.0, effect), piece(0.034, 11.0, 1000.0, "dead_zone")
+    monkeypatch.setattr(patchwork, "both_needed", lambda *_: False)
+    nothing: Any = None
+    whole = replace(first, size=0.115, terms=(*first.terms, *zone.terms))
+    judge = laws._Judge(PARTS, nothing, nothing, [whole], 1, Size(0.0, 0.0, 0.03), 0.0, ())
+    assert len(judge.findings_among([first, zone], whole)[0]) == own
+    if own > 1:
+        assert not judge._leaves_more(whole, [first, zone], [first], None)
+
+
 def test_laws_are_asked_again_beside_those_that_stand(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a limit of the supply had taken, which its neighbours refuted, was not asked of the drag
     beside it.

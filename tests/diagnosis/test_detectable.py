@@ -17,6 +17,7 @@ from small_models import model_of
 
 from zendsp.diagnosis import Diagnosis, engine
 from zendsp.diagnosis.decide import detectable as sizes
+from zendsp.diagnosis.decide import detectable_transmission, implants
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
@@ -125,7 +126,7 @@ def test_no_delay_is_said_to_be_missed_below_a_time_that_no_fit_reaches(
     late: float, decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a KUKA a delay of 0.2 s "may have been missed"."""
-    monkeypatch.setattr(sizes._Implant, "seen", lambda *_: (late, 0.1))
+    monkeypatch.setattr(implants.Implant, "seen", lambda *_: (late, 0.1))
     told = {x.effect for x in decided(reality.Machine()).detectable}
     assert ("delay" in told) is (late < FIRST_ORDER)
 
@@ -135,7 +136,7 @@ def test_no_smaller_lateness_is_promised_than_the_clock_lets_one_name(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A delay of 0.22 rows was unexplained where 0.15 rows were said to be seen."""
-    monkeypatch.setattr(sizes._Implant, "seen", lambda *_: (1e-6, 1e-4))
+    monkeypatch.setattr(implants.Implant, "seen", lambda *_: (1e-6, 1e-4))
     told = {x.effect: x for x in decided(reality.Machine()).detectable}
     for late in ("lag", "delay"):
         assert told[late].size == pytest.approx(0.3 / reality.RATE)
@@ -148,21 +149,21 @@ def test_the_fit_of_a_larger_implant_begins_from_that_of_the_smaller_one(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fits: list[Any] = []
-    fit_scored = sizes.fit_scored
+    fit_scored = implants.fit_scored
 
     def noted(data: Any, model: Any, handles: Any, *rest: Any, **more: Any) -> Any:
         out = fit_scored(data, model, handles, *rest, **more)
         fits.append((model.terms[-1], get_values(model, handles), get_values(out.model, handles)))
         return out
 
-    monkeypatch.setattr(sizes, "fit_scored", noted)
+    monkeypatch.setattr(implants, "fit_scored", noted)
     decided(reality.Machine())
     given: dict[str, Any] = {}
     for term, begun, _ in fits:
         given.setdefault(term.effect, begun)
     larger = 0
     for (small, _, ended), (large, begun, _) in pairwise(fits):
-        key = sizes._key(get_effect(small.effect))
+        key = implants.size_of(get_effect(small.effect))
         if small.effect == large.effect and large.value(key) > small.value(key):
             grown = large.value(key) / small.value(key)
             first = given[small.effect]
@@ -186,7 +187,7 @@ def test_recordings_that_would_show_no_friction_nor_torque_over_position_cannot_
     assert (d.next_recording is not None) == (shown == "delay")
 
 
-class _OneImplant(sizes._Implant):
+class _OneImplant(implants.Implant):
     """An implant that is seen from a size of ``enough`` on, by the gain of blocks, which need not
     grow as its size does.
     """
@@ -204,7 +205,7 @@ class _OneImplant(sizes._Implant):
 
     def _short_by(self, term: Term, *_: Any) -> tuple[float, float]:
         lacking = self.enough / term.value("coefficient")
-        return (lacking if lacking <= 1.0 else max(lacking, sizes.LARGER)), 0.1
+        return (lacking if lacking <= 1.0 else max(lacking, implants.LARGER)), 0.1
 
 
 @pytest.mark.parametrize(("enough", "seen"), [(1.1, 1.19), (1.19, 1.19), (1.3, np.inf)])
@@ -212,8 +213,8 @@ def test_the_largest_effect_that_is_not_small_is_tried_before_none_is_said_to_be
     enough: float, seen: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A drift of a drive's gain on EMPS lacked 3 %, and a step of half as much passed the limit."""
-    limit = sizes.NOT_SMALL / 1.25
-    monkeypatch.setattr(sizes, "difference", lambda _, term, *__: limit * term.value("coefficient"))
+    limit = implants.NOT_SMALL / 1.25
+    monkeypatch.setattr(implants, "difference", lambda _, term, *__: limit * term.value("coefficient"))
     begun = Term("stiffness", 1, {"coefficient": Quantity(1.0), "neutral": Quantity(0.0)})
     size, _ = _OneImplant(enough).seen(begun, 0.02)
     assert size == pytest.approx(seen, rel=0.01)
@@ -226,7 +227,8 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
     report = d.report()
     shown, hidden = ({x["effect"] for x in report[key]} for key in ("detectable", "undetectable"))
     has = {t.effect for t in d.improved.terms} | {"inertia"}  # a number of the mechanism
-    asked = {e.name for e in library().values() if e.sized} | {"disturbance"}
+    asked = {e.name for e in library().values() if e.sized}
+    asked |= {"disturbance", *detectable_transmission.ASKED}
     assert shown | hidden == asked - has
     assert "torque_gain" in hidden, "inertia and friction, calibrated, imitate it"
     assert "delay" in shown, "a shift of the command column, refined, had imitated it"
@@ -234,8 +236,8 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
     curve = replace(d.undetectable[0], effect="stribeck", at={"velocity": 0.05})
     assert hidden_words([curve], d) == "stribeck (joint 1 at velocity 0.05 rad/s)"
     listed = _could_not(d).partition("no size is asked: ")[2].partition(".</p>")[0].split(", ")
-    assert {"elasticity", "backlash", "hysteresis"} <= set(listed)
-    assert not {"ripple", "coulomb_tanh", "payload"} & set(listed)
+    assert {"stiffening", "hysteresis"} <= set(listed)
+    assert not {"ripple", "coulomb_tanh", "payload", "elasticity", "backlash"} & set(listed)
 
 
 def test_an_effect_that_was_found_is_not_said_to_be_beyond_sight() -> None:

@@ -30,8 +30,8 @@ OF_A_START = 0.3  # of a starting gap: one as small is found from it
 # the stiffest start over the stiffest spring that is stated: at its edge of the search one of 61 Hz
 # was not named
 WITHIN = 2.0
-# standard deviations of the sensor, of a gap: of those of 1 to 4, which were 0.3 to 1.2 counts, two of
-# four were "complete"
+# standard deviations of the sensor, of a gap: of four of 1 to 4, 0.3 to 1.2 counts, two were
+# "complete"
 ABOVE_SENSOR = 6.0
 
 

@@ -154,7 +154,7 @@ class _Judge:
         own: list[Piece] = [ranked[0]]
         beside: list[Piece] = []
         for other in ranked[1:]:
-            large = other.size**2 >= OWN_SHARE * piece.size**2
+            large = other.size**2 >= OWN_SHARE * piece.size**2 or _beside_constant(ranked[0], other)
             counts = _counts(other, ranked[0], self.after.value)
             apart = large and not _one_with(ranked[0], other) and counts
             (own if apart else beside).append(other)
@@ -214,7 +214,8 @@ class _Judge:
         beside = [
             p
             for p in ranked[1:]
-            if bends(self.final, _plain(p)[0], law, any(p is o for o in own))
+            if not _beside_constant(ranked[0], p)
+            and bends(self.final, _plain(p)[0], law, any(p is o for o in own))
             and sure(self.parts.test, p)
         ]
         bent = math.hypot(*(p.size for p in beside))
@@ -246,6 +247,14 @@ class _Judge:
         return (bool(self.bent) and first.mechanism in FRICTION) or (
             first.mechanism == FLUID and makes_another_grow(self.given, self.final, first.terms[0])
         )
+
+
+def _beside_constant(first: Piece, other: Piece) -> bool:
+    """Whether one of two laws of a mechanism is a constant, and the other is not: neither bends the
+    other, or is a part of it.
+    """
+    one, two = (all(get_effect(e).constant for e in p.effects) for p in (first, other))
+    return one != two
 
 
 def _turns_a_known_one(

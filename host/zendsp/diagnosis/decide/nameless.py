@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import replace
 from itertools import combinations
@@ -20,6 +21,7 @@ from zendsp.diagnosis.decide.thresholds import (
     GROWN,
     LAW_ERROR,
     LEFT_BY_A_LAW,
+    MACHINE,
     PREDICTED,
     RIVAL,
     SIMULATORS_DIFFER,
@@ -163,7 +165,7 @@ def _has_memory(claim: Claim, decision: Decision) -> bool:
 
 def _hardly_varies(claim: Claim, decision: Decision, parts: Parts) -> bool:
     """Whether the laws that draw a mechanism draw mostly a constant, of which no one knows on what
-    it depends.
+    it depends, and what varies beside it is little.
     """
     laws = tuple(t for t in decision.drawn_by(claim) if not get_effect(t.effect).hidden)
     if not laws:
@@ -171,7 +173,10 @@ def _hardly_varies(claim: Claim, decision: Decision, parts: Parts) -> bool:
     model, joint = decision.final.model, decision.joint
     drawn = [trace(rec[joint - 1], model, laws, 0.0) for rec in parts.test.records]
     torque = np.concatenate(drawn)
-    return bool(np.mean(torque) ** 2 > PREDICTED * np.mean(torque**2))
+    mean, whole = float(np.mean(torque)), float(np.mean(torque**2))
+    varies = math.sqrt(max(whole - mean**2, 0.0)) / decision.scale
+    little = varies < max(MACHINE, decision.after.value / LEFT_BY_A_LAW)
+    return little and mean**2 > PREDICTED * whole
 
 
 def _drawn_by_its_laws(claim: Claim, decision: Decision) -> bool:

@@ -137,13 +137,15 @@ def _could_not(d: Diagnosis) -> str:
             if x.joint == joint
         )
         rows.append(f"<li>joint {joint}: {sizes}")
+    if any(x.mechanism == "transmission" and x.at for x in d.detectable):
+        rows.append("<li>a spring and a gap are those of a load with half of the inertia")
     if d.undetectable:
         unseen = escape(hidden(d.undetectable, d))
         rows.append(f"<li>would not be seen here even if large: {unseen}")
     return (
         "<p><b>What may have been missed:</b> what is smaller than this. Of what is as large, nine"
         " of ten would have been found; of what is half or a third of it, many are, too. Of the"
-        f" other laws no size is asked: {', '.join(unasked())}.</p>"
+        f" other laws no size is asked: {', '.join(unasked(d))}.</p>"
         f"<ul>{''.join(rows)}</ul>"
         if rows
         else ""

@@ -109,10 +109,11 @@ def _joints(each: Sequence[str]) -> str:
     return ", ".join(f"joint {one}" for one in each)
 
 
-def unasked() -> list[str]:
+def unasked(d: Diagnosis) -> list[str]:
     """The laws that are looked for, and of which no smallest size is computed."""
     sought = (e for e in library().values() if e.site != "body" and (e.linear or e.grid or e.scan))
-    return [e.name for e in sought if not e.sized]
+    asked = {x.effect for x in (*d.detectable, *d.undetectable)}
+    return [e.name for e in sought if not e.sized and e.name not in asked]
 
 
 def _shape_of(x: Detectable, kind: str) -> str:
