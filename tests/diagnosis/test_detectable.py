@@ -214,7 +214,8 @@ def test_the_largest_effect_that_is_not_small_is_tried_before_none_is_said_to_be
 ) -> None:
     """A drift of a drive's gain on EMPS lacked 3 %, and a step of half as much passed the limit."""
     limit = implants.NOT_SMALL / 1.25
-    monkeypatch.setattr(implants, "difference", lambda _, term, *__: limit * term.value("coefficient"))
+    size = "coefficient"
+    monkeypatch.setattr(implants, "difference", lambda _, term, *__: limit * term.value(size))
     begun = Term("stiffness", 1, {"coefficient": Quantity(1.0), "neutral": Quantity(0.0)})
     size, _ = _OneImplant(enough).seen(begun, 0.02)
     assert size == pytest.approx(seen, rel=0.01)
