@@ -312,6 +312,13 @@ def test_windows_at_rest_do_not_stretch_the_axis_of_errors(
     assert all(np.min(s.y) > 0.1 * rms.level[0] for s in rms.series)
 
 
+def test_the_error_of_a_joint_is_compared_with_its_own_noise_floor(coarse: Diagnosis) -> None:
+    """Not with that of joint 1, which may have another unit: here a thousandth."""
+    other = replace(coarse, noise_floor=1e-3 * coarse.noise_floor)
+    assert _of(other, "fit").panels[1].level == (coarse.noise_floor, "noise floor")
+    assert figures.SENSOR_LEFT in _of(other, "white").note
+
+
 @pytest.mark.long("test_two_sensors.py finds the spring; lost: the figure of its torsion")
 def test_what_two_sensors_show_of_a_spring_is_drawn_as_its_torsion(tmp_path: Path) -> None:
     """The torsion is drawn over the transmitted torque: the slope is the compliance in the

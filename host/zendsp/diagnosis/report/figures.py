@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.result import Diagnosis, SimulatorErrors, Workings
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import VARIABLES, energy, lies_in, shares
-from zendsp.diagnosis.measure.windows import rows_of, seconds_of, window_error
+from zendsp.diagnosis.measure.windows import noise_floor, rows_of, seconds_of, window_error
 from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
 from zendsp.diagnosis.report.laws import axis_of, drawn, law_chart, unclaimed_chart, unknown_chart
 from zendsp.diagnosis.report.sides import Sides, sides, torque_label, units_at
@@ -64,7 +64,7 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
         ]
     )
     size, over = sizes[0], seconds_of(w.test)
-    floor = max(d.noise_floor, 1e-300)
+    floor = max(noise_floor(w.test, joint), 1e-300)
     errors, windows = [], []
     for model, role, label in _models(sides(d.findings, kernel_model(d.given), w.whole, joint)):
         error = window_error(w.test, model, joint)[: len(t)]
@@ -242,7 +242,7 @@ def finding_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
     return replace(chart, section="law", caption=finding.sentence, name=name, finding=index)
 
 
-def white_chart(d: Diagnosis, w: Workings, two: Sides, joint: int) -> Chart:
+def white_chart(w: Workings, two: Sides, joint: int) -> Chart:
     """Are the improved model's one-step errors white?"""
     record = w.test.records[0][joint - 1]
     bound = float(1.96 / np.sqrt(record.n))
@@ -257,7 +257,7 @@ def white_chart(d: Diagnosis, w: Workings, two: Sides, joint: int) -> Chart:
         series.append(Series("line", role, lag, alike, label))
         outside.append(f"{label} {100 * float(np.mean(np.abs(alike) > bound)):.0f} %")
         error = float(np.sqrt(np.mean(window_error(w.test, model, joint) ** 2)))
-        left = SENSOR_LEFT if error < SENSOR_ONLY * d.noise_floor else ""
+        left = SENSOR_LEFT if error < SENSOR_ONLY * noise_floor(w.test, joint) else ""
     return Chart(
         "white",
         f"Joint {joint}: whiteness",
@@ -338,6 +338,6 @@ def _charts(d: Diagnosis) -> list[Chart]:
     for j in joints:
         two = sides(d.findings, kernel_model(d.given), w.whole, j)
         curve = None if d.findings else unclaimed_chart(d, j)
-        for chart in (curve, torque_chart(d, two, j), map_chart(d, j), white_chart(d, w, two, j)):
+        for chart in (curve, torque_chart(d, two, j), map_chart(d, j), white_chart(w, two, j)):
             out += [chart] if chart else []
     return out
