@@ -22,6 +22,7 @@ from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import nothing_named
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.report.files import no_reference
 from zendsp.diagnosis.report.laws import law_chart
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.model_write import model_text
@@ -274,6 +275,7 @@ def test_friction_that_differs_with_the_direction_is_friction_and_a_constant_by_
     # a chirp was proposed to tell one torque from itself, and the next diagnosis was as open
     assert d.next_recording is not None and d.next_recording.reference is None
     assert "No recording tells coulomb and torque_offset at joint 1" in d.next_recording.sentence
+    assert no_reference(d) == "no motion tells apart what is left open"  # it names no experiment
 
 
 def test_coulomb_friction_of_a_joint_that_moves_one_way_cannot_be_told_from_a_constant(

@@ -25,6 +25,7 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.contract import Rejected, contradicted
 from zendsp.diagnosis.decide.findings import Estimate, Finding, waves
+from zendsp.diagnosis.decide.result import Next
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import Missing
 from zendsp.diagnosis.report import files
@@ -86,7 +87,7 @@ def test_the_report_says_where_the_next_motion_is_or_why_there_is_none(folder: P
     assert line == f"next motion: {there}"
     said = [
         files.no_reference(_proposing(proposal))
-        for proposal in (None, SimpleNamespace(reference=None), SimpleNamespace(reference=(0, 1)))
+        for proposal in (None, Next("by hand"), Next("played", (np.zeros((1, 1)), 1.0)))
     ]
     assert said[::2] == ["nothing is left open", ""]
     assert said[1].startswith("where an experiment is named, it is set up by hand")

@@ -141,6 +141,7 @@ def propose(
         return Next(
             f"No motion within the reach of these recordings separates {finding.effect} from"
             f" {names}: there they are the same torque.",
+            tells=False,
         )
     name, motion, gain = best
     return _played(
@@ -166,7 +167,8 @@ def _one_torque(findings: Sequence[Finding], finals: Mapping[int, Model]) -> Nex
         for name in sums(f.effect, f.joint, finals[f.joint]):
             return Next(
                 f"No recording tells {' and '.join(get_effect(name).sums)} at joint"
-                f" {f.joint} from {name}. Together they are the same torque."
+                f" {f.joint} from {name}. Together they are the same torque.",
+                tells=False,
             )
     return None
 

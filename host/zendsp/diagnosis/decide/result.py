@@ -95,6 +95,7 @@ class Next:
 
     sentence: str
     reference: tuple[Array, float] | None = None  # positions (n, joints), sample time in s
+    tells: bool = True  # False: the sentence says why no recording would tell them apart
 
 
 @dataclass(frozen=True)

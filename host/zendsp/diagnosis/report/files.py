@@ -97,6 +97,8 @@ def no_reference(d: Diagnosis) -> str:
         return open_ if d.nameless else "nothing is left open"
     if d.next_recording is None:
         return "no motion can be proposed for what is open"
+    if not d.next_recording.tells:
+        return "no motion tells apart what is left open"
     by_hand = (
         "where an experiment is named, it is set up by hand; where that is a motion,"
         " 'zendsp reference' plans one"
