@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.sampling import between_rows, resample_held
 from zendsp.diagnosis.data.signals import Signals
+from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.term_numbers import kernel_model
 
@@ -248,6 +250,19 @@ def test_a_missing_row_is_seen_beside_rounded_stamps(
     whole = np.sin(6.0 * coarse(rate, quantum)[0])
     away = np.abs(read.position[:, 0] - whole)
     assert np.count_nonzero(away > 1e-9) <= 3 and away.max() < 1e-3
+
+
+def test_a_recording_of_another_rate_may_keep_the_hold_of_the_loop(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    """Without it, the command of every fourth row of a loop seemed to be late."""
+    fewer = reality.save(tmp_path / "slow.csv", {name: x[::4] for name, x in good.items()})
+    given = kernel_model(load_model(model))
+    for hold, said in ((0.001, "Keep [actuator] hold = 0.001"), (None, "State [actuator] hold")):
+        other = replace(given, actuator=replace(given.actuator, hold=hold))
+        with pytest.raises(RecordingError) as refused:
+            read_signals(fewer, other)
+        assert f"leave sample_time out of the model file. {said} if one" in str(refused.value)
 
 
 def test_rows_read_at_their_rounded_times_are_resampled(tmp_path: Path) -> None:

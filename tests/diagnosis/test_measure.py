@@ -187,8 +187,11 @@ def test_a_recording_whose_rows_are_shifted_is_told_from_the_others(
     ((_, said),) = apart_in_time(Parts(same, read("b.csv", 2), other), model)
     assert said.startswith("joint 1: in b.csv the command column stands")
     assert "ms later against the position than in a.csv, c.csv" in said
+    assert said.endswith("in all recordings alike, and diagnose again")
     same_again = Parts(same, read("b.csv", 2), other)
     assert apart_in_time(same_again, model, {(1, "b.csv")}) == []
+    # of rows of other lengths the command may have been held for less than a row
+    assert "state its sample time as [actuator] hold" in clocks._remedy({0.001, 0.004}, model)
     # most of what lacks in it is something else
     besides = Parts(same, read("b.csv", 2, ripple=0.05), other)
     assert apart_in_time(besides, model) == []

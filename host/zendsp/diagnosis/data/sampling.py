@@ -96,8 +96,14 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
     return out, count
 
 
-def _of_another_rate(name: str, period: float, stated: float) -> RecordingError:
-    what = "for recordings of another rate leave sample_time and hold out of the model file"
+def _of_another_rate(name: str, period: float, model: Model) -> RecordingError:
+    stated, hold = model.sample_time or period, model.actuator.hold
+    what = (
+        "for recordings of several rates leave sample_time out of the model file. "
+        + (f"Keep [actuator] hold = {hold:g}" if hold else "State [actuator] hold")
+        + " if one loop ran at that sample time and a logger wrote fewer of its rows; leave hold"
+        " out if each row is a sample of the loop"
+    )
     if max(period / stated, stated / period) > UNIT:
         what = "check the unit of the time column"
     return RecordingError(
@@ -169,7 +175,7 @@ def clock(name: str, get: Getter, columns: Columns, model: Model, n: int) -> Clo
             f" the time column {columns['time']!r} in seconds?"
         )
     if stated and abs(period / stated - 1) > OTHER_UNIT:
-        raise _of_another_rate(name, period, stated)
+        raise _of_another_rate(name, period, model)
     if is_gap(float(np.max(step)), period):
         k = int(np.argmax(step))
         raise RecordingError(

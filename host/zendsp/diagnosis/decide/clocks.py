@@ -46,9 +46,11 @@ def apart_in_time(
     said = []
     for joint in range(1, model.joints + 1):
         shifts: dict[str, list[Shift]] = {}
+        periods: set[float] = set()
         for data in parts.each:
             for rec in data.records:
                 record = rec[joint - 1]
+                periods.add(record.sample_time)
                 if (shift := _shift(record, model)) is not None:
                     shifts.setdefault(record.recording, []).append(shift)
         found = {name: _mean(each) for name, each in shifts.items()}
@@ -58,15 +60,29 @@ def apart_in_time(
             (
                 joint,
                 f"joint {joint}: in {name} the command column stands {abs(1e3 * at):.2g} ms"
-                f" {'later' if at > 0 else 'earlier'} against the position than in {others}. Write"
-                " command and position of one sample into one row, in all recordings alike, and"
-                " diagnose again",
+                f" {'later' if at > 0 else 'earlier'} against the position than in {others}."
+                f" {_remedy(periods, model)}",
             )
             for name, at in late.items()
             if (joint, name) not in explained
             and _explains(parts, model, joint, name, found[name][0])
         ]
     return said
+
+
+def _remedy(periods: Collection[float], model: Model) -> str:
+    """What to do about columns that stand apart: where recordings have several sample times, s, and
+    nobody said for how long the loop holds a command, its mean over a row is late by half a row.
+    """
+    if len(periods) > 1 and not model.actuator.hold:
+        return (
+            "Their rows are not equally far apart: if one loop ran, state its sample time as"
+            " [actuator] hold, and diagnose again"
+        )
+    return (
+        "Write command and position of one sample into one row, in all recordings alike, and"
+        " diagnose again"
+    )
 
 
 def _explains(parts: Parts, model: Model, joint: int, name: str, at: float) -> bool:
