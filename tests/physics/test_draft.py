@@ -4,6 +4,7 @@ back.
 
 from __future__ import annotations
 
+import sys
 import tomllib
 from pathlib import Path
 
@@ -11,9 +12,12 @@ import numpy as np
 import pytest
 from drafts import COUNTS, GRAVITY, INERTIA, STEP, N, T, model_of, recording
 
+from zendsp.cli import main
+from zendsp.diagnosis.data.inputs import model_of as of_diagnosis
 from zendsp.errors import RecordingError
 from zendsp.physics.files.draft import draft_model
 from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.files.questions import open_questions
 from zendsp.recording import Table, read_table
 from zendsp.recording.roles import role_of
 from zendsp.recording.units import to_si
@@ -59,6 +63,27 @@ def test_the_draft_asks_what_the_recording_cannot_say() -> None:
         assert words.lower() in asked.lower()
     assert draft.text.count("# ? ") == len(draft.questions)
     assert model_of(draft.text).columns["command"] == "iq"
+
+
+def test_questions_stay_open_until_their_lines_are_gone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A position in degrees was taken for rad, and nothing said that it had been asked about."""
+    draft = draft_model(Table(recording(), {}, {}, Path("run.csv")))
+    file = tmp_path / "run.toml"
+    file.write_text(draft.text)
+    assert open_questions(file) == draft.questions and len(draft.questions) > 2
+    _, (note,) = of_diagnosis(file)
+    monkeypatch.setattr(sys, "argv", ["zendsp", "model", "check", str(file)])
+    with pytest.raises(SystemExit):
+        main()
+    assert capsys.readouterr().err == f"zendsp: {note}\n"
+    assert f"run.toml: {len(draft.questions)} questions open" in note
+    assert "q has no unit: is it rad, degrees or m?" in note
+    assert f"; and {len(draft.questions) - 2} more" in note
+    answered = [line for line in draft.text.splitlines() if not line.startswith("# ?")]
+    file.write_text("\n".join(answered))
+    assert open_questions(file) == () and of_diagnosis(file)[1] == ()
 
 
 @pytest.mark.parametrize("beside", [True, False])

@@ -1,9 +1,10 @@
-"""Prints an expected error, in one line on standard error."""
+"""Prints expected errors and warnings, each in one line on standard error."""
 
 from __future__ import annotations
 
 import re
 import sys
+from pathlib import Path
 
 import click
 
@@ -26,6 +27,14 @@ def say(error: Exception) -> None:
     else:
         words = str(error)
     click.echo(fitted(f"zendsp: {shown(words)}", sys.stderr), err=True)
+
+
+def say_open(model: Path) -> None:
+    """Warn of questions that are open in a model file, in one line on standard error."""
+    from zendsp.physics.files.questions import still_open
+
+    if words := still_open(model):
+        click.echo(fitted(f"zendsp: {words}", sys.stderr), err=True)
 
 
 def _wrong_use(error: click.ClickException) -> str:

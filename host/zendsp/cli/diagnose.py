@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import click
 
 from zendsp.cli.common import check_writable, end_softly, out_option
+from zendsp.cli.complaints import say_open
 from zendsp.cli.completing import models
 from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError
@@ -119,6 +120,7 @@ def command(
         inputs = (model_path, *_described_in(model_path), *train, *heldout)
         _keep_inputs(out, inputs, train if each else ())
     asked = _Asked(train, model_path, heldout, out, not no_figures, as_json, seed, cores, effects)
+    say_open(model_path)
     with nullcontext() if out is None else one_writer(out, "zendsp diagnose"):
         if each:
             _each(asked, scheduler)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from zendsp.cli.common import emit, json_option, out_option
+from zendsp.cli.complaints import say_open
 from zendsp.errors import ModelError
 from zendsp.whole_file import write_whole
 
@@ -95,16 +96,18 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     Example:  zendsp model check bench.toml --recording run.csv
     """
     from zendsp.physics.files.model_file import load_model
+    from zendsp.physics.files.questions import open_questions
     from zendsp.physics.model import TREES
     from zendsp.physics.robots.robot import robot_tree
 
     model = load_model(file)
+    say_open(file)
     links = [link.name for link in robot_tree(model)[0]] if model.kind in TREES else []
     if model.kind == "fmu":
         from zendsp.diagnosis.external.fmu import Fmu
 
         Fmu(model, 1).close()
-    body = _about(model)
+    body = _about(model) | {"questions": open_questions(file)}
     lines = [f"{file}: {body['text']}"]
     if links:
         body["links"] = links

@@ -7,16 +7,16 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_given, check_motion
 from zendsp.diagnosis.data.columns import cutting
+from zendsp.diagnosis.data.inputs import Given, model_of, sources_of
 from zendsp.diagnosis.data.prepare import at_their_poses, of_one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
@@ -53,13 +53,11 @@ from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
 from zendsp.diagnosis.transmission.torque_sensor import sided
-from zendsp.errors import ModelError, RecordingError
+from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import CALLED, Model
 from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.prompt import shows_progress
-from zendsp.recording import Recording, Table
 
 # s times joints: 200 s of one joint took 19 s of processor time, 1000 s 45 s, 10 000 s over 280 s
 LONG_S = 2000.0
@@ -76,7 +74,7 @@ ENDED_LAST = (
 @shows_progress
 def diagnose(
     recordings: Source | Sequence[Source],
-    model: Model | str | Path | dict[str, Any],
+    model: Given,
     heldout: Source | Sequence[Source] | None = None,
     *,
     seed: int = 0,
@@ -129,16 +127,16 @@ def diagnose(
     # each other
     tell = progress or (lambda _text: None)
     with threadpool_limits(limits=1):
-        given = _as_model(model)
+        given, asked = model_of(model)
+        sources = sources_of(recordings), sources_of(heldout)
         if given.kind in CALLED:
             from zendsp.diagnosis.external.roads import diagnose_called
 
-            sources = _sources(recordings), _sources(heldout)
             once = partial(_diagnose, seed=seed, jobs=jobs, tell=tell, so_far=so_far)
-            return diagnose_called(sources, given, jobs, tell, so_far, once)
-        return _diagnose(
-            (_sources(recordings), _sources(heldout)), given, seed, jobs, tell, so_far
-        )
+            d = diagnose_called(sources, given, jobs, tell, so_far, once)
+        else:
+            d = _diagnose(sources, given, seed, jobs, tell, so_far)
+    return replace(d, notes=(*asked, *d.notes))
 
 
 def _diagnose(
@@ -423,29 +421,3 @@ def _name(
     findings = sided(findings, found.parts, found.bodies.model)
     decisions = [_unnamed(d, findings, refinements) for d in found.decisions]
     return replace(found, decisions=decisions), findings, refinements, rejected
-
-
-def _as_model(model: Model | str | Path | dict[str, Any]) -> Model:
-    if isinstance(model, Model):
-        return model
-    if isinstance(model, str | Path):
-        return load_model(model)
-    if not isinstance(model, dict):
-        kind = type(model).__name__
-        raise ModelError(f"model: {kind} is none: give the path of a model file, a Model or a dict")
-    return parse_model(model)
-
-
-def _sources(given: Source | Sequence[Source] | None) -> list[Source]:
-    if given is None:
-        return []
-    table = isinstance(given, Mapping) or hasattr(given, "columns")  # it would list its columns
-    one = table or isinstance(given, str | Path) or not isinstance(given, Iterable)
-    sources: list[Source] = [given] if one else list(given)  # type: ignore[list-item, arg-type]
-    for source in sources:
-        if not isinstance(source, str | Path | Recording | Table):
-            raise RecordingError(
-                f"recording: {type(source).__name__} is none: give the path of a file, or"
-                ' zendsp.Recording.from_columns({"q": q, "u": u}, t=t)'
-            )
-    return sources

@@ -17,6 +17,7 @@ from zendsp.physics.files.draft_data import (
     is_behind,
     one_or_each,
 )
+from zendsp.physics.files.questions import ASKS
 from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
@@ -52,7 +53,7 @@ class Page:
         comment, ask = shown(comment, lines=False), shown(ask, lines=False)
         if ask:
             self.questions.append(ask)
-            self.lines.append(f"# ? {ask}")
+            self.lines.append(f"{ASKS}{ask}")
         if not comment:
             self.lines += [text] if text or not ask else []
         elif not text:

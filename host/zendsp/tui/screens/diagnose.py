@@ -16,6 +16,7 @@ from textual.containers import Container, Horizontal, Vertical, VerticalScroll
 from textual.widgets import Button, DataTable, OptionList, Static
 from textual.widgets.option_list import Option
 
+from zendsp.physics.files.questions import open_questions
 from zendsp.tui.actions import bindings
 from zendsp.tui.command import Command
 from zendsp.tui.diagnoses import Diagnosed, begin, keep, list_diagnoses, recording_name
@@ -166,7 +167,7 @@ class DiagnoseScreen(GivenActions, LoopActions):
             self.say(f"no model could be begun: {last}", "error")
             return
         self._take_model(str(file))
-        asked = file.read_text("utf-8").count("# ? ")
+        asked = len(open_questions(file))
         if asked:
             self._hear(f"Answer them in {file.name}, above their lines; s diagnoses with it.")
             self.say(f"{file.name} is begun; {counted(asked, 'question')} in it", "warning")
