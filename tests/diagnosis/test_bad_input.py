@@ -106,7 +106,7 @@ def test_sample_time_that_contradicts_the_clock_is_refused(
         tmp_path / "model.toml", 1000.0, reality.effect("viscous", coefficient=0.004)
     )
     said = refuse(reality.save(tmp_path / "run.csv", good), "--model", wrong)
-    assert "leave sample_time and hold out" in said and "unit" not in said
+    assert "leave sample_time out of" in said and "unit" not in said
     thousandfold = reality.save(tmp_path / "ms.csv", {**good, "t": good["t"] / 1000.0})
     assert "check the unit" in refuse(thousandfold, "--model", wrong)
 

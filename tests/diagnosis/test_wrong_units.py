@@ -11,7 +11,7 @@ from reality import KNOWN, RATE
 
 from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.split import read_divided
-from zendsp.errors import ModelError
+from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model
 
 MACHINE = reality.Machine(gravity=0.4, coulomb=0.03)
@@ -40,6 +40,23 @@ def test_a_weight_given_1000_times_too_large_hides_no_friction(
     assert set(found) == {"coulomb", "gravity"}
     assert found["coulomb"].parameters["level"].value == pytest.approx(0.03, rel=0.03)
     assert "a factor of 0.001: a unit?" in found["gravity"].sentence
+
+
+@pytest.mark.parametrize("head", ["q", "q [rad]"])
+def test_degrees_are_not_suspected_of_a_position_whose_head_states_its_unit(
+    head: str, runs: list[Path], tmp_path: Path
+) -> None:
+    """An inertia 100 times too large resembles degrees: it alone is at fault where these are
+    excluded.
+    """
+    run = tmp_path / "run.csv"
+    run.write_text(runs[0].read_text().replace("q", head, 1))
+    model = reality.model_file(tmp_path / "m.toml", RATE, *KNOWN, inertia=1.0)
+    stated, at_fault = head != "q", "the model's inertia (1; 0.01"
+    with pytest.raises(RecordingError) as refused:
+        diagnose(run, model, jobs=1)
+    assert ("in degrees" not in str(refused.value)) is stated
+    assert (at_fault in str(refused.value)) is stated
 
 
 def test_a_dry_friction_that_nothing_could_overcome_is_refused_with_its_unit(

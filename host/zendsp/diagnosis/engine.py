@@ -397,7 +397,8 @@ def _ready(
     names = [s.name for s in (*fit_signals, *choose_signals, *test_signals)]
     everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
     if given.called is None:
-        check_motion(everything, given, names)
+        stated = {s.whole or s.name for s in (*fit_signals, *held) if s.unit_stated}
+        check_motion(everything, given, names, stated)
         check_zeros(everything, given)
     return read, parts, [*notes, *how, *check_given(everything, given), *check_excitation(fit)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -324,7 +324,9 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
             )
 
 
-def check_motion(data: Data, model: Model, names: Sequence[str]) -> None:
+def check_motion(
+    data: Data, model: Model, names: Sequence[str], stated: Collection[str] = ()
+) -> None:
     """Compare motion with the command: units, signs, swapped columns (``plausibility``).
 
     Parameters
@@ -333,6 +335,8 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> None:
         All recordings.
     names : sequence of str
         Of the recordings.
+    stated : collection of str
+        Names of the recordings whose heads state the unit of the positions.
 
     Raises
     ------
@@ -367,10 +371,10 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> None:
         if driven:
             of = rec[0].recording
             parts = [part for part in data.records if part is not rec and part[0].recording == of]
-            check_driven(where, rec, model, parts, signs=speed == most[of])
+            check_driven(where, rec, model, parts, of in stated, signs=speed == most[of])
             check_caused(where, rec, model)
         else:
-            check_free(where, rec, model)
+            check_free(where, rec, model, rec[0].recording in stated)
 
 
 def check_given(data: Data, model: Model) -> list[str]:

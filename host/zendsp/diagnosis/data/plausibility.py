@@ -99,6 +99,7 @@ def check_driven(
     records: Sequence[JointRecord],
     model: Model,
     beside: Sequence[Sequence[JointRecord]] = (),
+    stated: bool = False,
     *,
     signs: bool = True,
 ) -> None:
@@ -112,6 +113,8 @@ def check_driven(
         All joints of one recording, or of a part.
     beside : sequence of sequence of JointRecord
         Its other parts.
+    stated : bool
+        Whether the heads of the positions state their unit.
     signs : bool
         Whether a sign may be accused.
 
@@ -156,7 +159,8 @@ def check_driven(
             every = agreeing.union(*others)
             units = not any(model.joint_kind(k + 1) == kind for k in every)
             period = records[0].sample_time
-            likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "")
+            own = _own_number(model, i + 1, found.slope) if stated else ""
+            likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "", own)
             _undo(name, found, likely, period, model, i)
             _geared(name, found, model.kind in TREES)
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
@@ -271,11 +275,23 @@ def _set_value(name: str, found: Regression) -> None:
         )
 
 
+def _own_number(model: Model, joint: int, slope: float) -> str:
+    """What to do about the model where its inertia should be ``slope`` times as large."""
+    key = "mass" if model.joint_kind(joint) == "linear" else "inertia"
+    value = mechanism_value(model, key, joint)
+    number = f" ({value:.4g}; {slope * value:.2g} would)" if value else ""
+    return (
+        f"the model's {key}{number} does not go with the recording; or the position is on the other"
+        " side of a gear than the command, or the command in another unit ([actuator] gain)"
+    )
+
+
 def _mistakes(
-    here: _Looked, rotary: bool, of: str
+    here: _Looked, rotary: bool, of: str, own: str = ""
 ) -> list[tuple[str, tuple[Array, Array, Array]]]:
     """The likely mistakes, with position, command and noise after undoing each. ``of``: the unit of
-    the command; empty where a wrong unit is excluded, since all joints of a kind share it.
+    the command; empty where a wrong unit is excluded, since all joints of a kind share it. ``own``:
+    what is wrong of the model where the position's head states its unit; else empty.
     """
     y, u, noise = here.y, here.u, here.noise
     small = DEGREE if rotary else 1e3
@@ -287,8 +303,11 @@ def _mistakes(
     # no inertia of a joint that slides tells millimetres from a command 1000 times too small
     milli = "" if rotary or not of else f"; or, if it stands there, {thousandfold(1e-3, of)}"
     other = geared if rotary else milli
+    why = f"the position is in {words}: {head} [{unit}]'{other}"
+    if own:
+        why = f"the position's head states its unit, so {own}"
     of_units = [
-        (f"the position is in {words}: {head} [{unit}]'{other}", (y / small, u, noise / small)),
+        (why, (y / small, u, noise / small)),
         (thousandfold(1e3, of), (y, u / 1e3, noise)),
         (thousandfold(1e-3, of), (y, u * 1e3, noise)),
     ]
@@ -333,8 +352,11 @@ def _undo(
         )
 
 
-def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Model) -> None:
-    """Refuse a free swing that contradicts gravity.
+def check_free(
+    where: Sequence[str], records: Sequence[JointRecord], model: Model, stated: bool = False
+) -> None:
+    """Refuse a free swing that contradicts gravity. ``stated``: the heads of the positions state
+    their unit.
 
     Raises
     ------
@@ -356,7 +378,7 @@ def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Mode
         other, better = _swing(
             record.position[None] / DEGREE, record.sample_time, noise / DEGREE, inertia, weight
         )
-        if r2 < SOUND < better and other > LITTLE:
+        if r2 < SOUND < better and other > LITTLE and not stated:
             raise RecordingError(
                 f"{name}: the joint swings as gravity says only if the position is in degrees;"
                 " expected radians: write the unit in the column's head, as 'q [deg]'"

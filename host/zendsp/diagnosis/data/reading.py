@@ -47,6 +47,7 @@ from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, sm
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.robots.robot import robot_path
 from zendsp.recording import Recording, Table, read_table
+from zendsp.recording.names import units_in
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
@@ -112,7 +113,7 @@ def read_signals(source: Source, model: Model, tell: Told | None = None) -> Sign
         stamps, time = time, grid
     read = Signals(
         name, time, sample_time, position, command, reference, resolution, extra=extra,
-        origin=float(time[0]),
+        origin=float(time[0]), unit_stated=_unit_stated(source, columns, model),
     )  # fmt: skip
     signals, said = _of_joints(read, model)
     signals = replace(signals, notes=(*done, *of.notes, *notes, *said))
@@ -122,6 +123,12 @@ def read_signals(source: Source, model: Model, tell: Told | None = None) -> Sign
     if model.sensor.matrix:
         rows = rows @ np.array(model.sensor.matrix).T
     return _as_noisy_as_read(signals, rows, stamps)
+
+
+def _unit_stated(source: Recording | Table, columns: Columns, model: Model) -> bool:
+    """Whether the heads of all positions state their unit, and no matrix makes another of it."""
+    heads = [unit for c in names_of(columns["position"]) for unit in units_in(source.units, c)]
+    return all(heads) and not model.sensor.matrix
 
 
 def _mended(

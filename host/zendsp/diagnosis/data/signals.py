@@ -39,6 +39,7 @@ class Signals:
     # row does; None: it is held
     between: Array | None = None
     whole: str = ""  # name of the recording of which this is a part; empty if of none
+    unit_stated: bool = False  # whether the heads of the positions state their unit
     origin: float = 0.0  # s: zero of time for effects over time, for all recordings
 
     def part(self, start: int, stop: int, name: str) -> Signals:
