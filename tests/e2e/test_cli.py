@@ -211,6 +211,13 @@ def test_what_was_recorded_before_a_crash_is_saved_and_a_wrong_name_is_refused_b
     ), done.stderr
     assert "crash.c:4" in json.loads(done.stdout)["ended"]
     assert zendsp.Recording.load(out)["x"].tolist() == [float(k) for k in range(1, 701)]
+    # a crash is told at the end of what follows, but not in place of another error
+    assert zendsp_("get", "x").stderr.count("SIGSEGV") == 1
+    crash.write_text('#include "isr.h"\nvoid UserISR_INT2(void) { nothing(); }\n')
+    for wrong in (["run", str(crash)], ["get", "nothing"], ["set", "nothing=1"]):
+        failed = zendsp_(*wrong)
+        assert failed.returncode in (1, 2) and "nothing" in failed.stderr
+        assert "SIGSEGV" not in failed.stderr, failed.stderr
 
 
 @pytest.mark.parametrize("clock", ["fast", "real"])

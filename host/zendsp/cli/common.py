@@ -91,13 +91,21 @@ def end_softly() -> None:
             signal.signal(number, signal.default_int_handler)
 
 
+class NotCompiled(click.exceptions.Exit):
+    """Ends a command whose code does not compile; why not is told by then."""
+
+    def __str__(self) -> str:
+        return "not compiled"
+
+
 @contextmanager
 def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterator[Target]:
     """A connection to the target that the options name; in ``zendsp shell`` it is that of the
     shell.
 
-    At the end a trip or crash of the target is reported on standard error. Until then SIGTERM and
-    the closing of the terminal act as Ctrl-C, so that what was set for a run is restored.
+    At the end a trip or crash of the target is reported on standard error; not an old one, where
+    the command failed for another reason. Until then SIGTERM and the closing of the terminal act as
+    Ctrl-C, so that what was set for a run is restored.
 
     Parameters
     ----------
@@ -122,27 +130,39 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
     with connect(name, endpoint) as target:
         target.programs.outlives = False  # a command says how it leaves the machine
         end_softly()
-        refused, cut_short = "", False
+        refused, cut_short, old = "", False, ""
+        with suppress(ZendspError):
+            old = trouble(target.status())
         try:
             yield target
         except (KeyboardInterrupt, LinkError):
             cut_short = moves
             raise
-        except ZendspError as error:
+        except (ZendspError, NotCompiled) as error:
             refused = str(error)
             raise
         finally:
             if cut_short:
                 _say_of(target, how_left(target))
             elif target.alive:
-                said = ""
-                # it went away at this moment: the command itself is told so
-                with suppress(ZendspError):
-                    status = target.status()
-                    if said := trouble(status):
-                        _say_of(target, said)
-                if said and status.trip is not None and f"{status.trip.text}: " in refused:
-                    raise click.exceptions.Exit(2)  # it was refused for that: once is enough
+                _say_trouble(target, refused, old)
+
+
+def _say_trouble(target: Target, refused: str, old: str) -> None:
+    """Say what is latched or crashed at the end of a command that was ``refused`` for this reason;
+    not what is ``old`` then, unless that is the reason.
+    """
+    from zendsp.link.programs import trouble
+
+    said, latched = "", False
+    with suppress(ZendspError):  # it went away at this moment: the command itself is told so
+        status = target.status()
+        said = trouble(status)
+        latched = status.trip is not None and f"{status.trip.text}: " in refused
+    if said and (latched or not refused or said != old):
+        _say_of(target, said)
+    if said and latched:
+        raise click.exceptions.Exit(2)  # it was refused for that: once is enough
 
 
 def _say_of(target: Target, words: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from zendsp.cli.common import emit, flag_option, open_target, target_options
+from zendsp.cli.common import NotCompiled, emit, flag_option, open_target, target_options
 from zendsp.cli.completing import programs
 from zendsp.cli.progress import stages
 from zendsp_protocol.states import ProgramState
@@ -50,7 +50,7 @@ def compiled(work: Callable[[], Any], as_json: bool, target: Target | None = Non
         report(result, as_json)
         if target is not None and target.status().state == ProgramState.RUNNING:
             click.echo(f"zendsp: {target.name}: what was loaded before goes on running", err=True)
-        raise click.exceptions.Exit(1) from None
+        raise NotCompiled(1) from None
 
 
 def report(result: Any, as_json: bool) -> None:
