@@ -106,6 +106,19 @@ def joint_units(unit: str, joints: Sequence[str], length: int) -> str:
     return ", ".join(each) if len(different) > 1 and length == len(each) else " or ".join(different)
 
 
+def of_sliding(unit: str) -> str:
+    """The unit at a joint that slides, of what has this unit at one that turns.
+
+    Examples
+    --------
+    >>> of_sliding("N m s/rad"), of_sliding("kg m^2"), of_sliding("s")
+    ('N s/m', 'kg', 's')
+    """
+    for slides, turns in _OF_JOINTS.values():
+        unit = unit.replace(turns, slides)
+    return unit
+
+
 def counted(number: int, noun: str) -> str:
     """A number with its noun, in the singular where it is one.
 

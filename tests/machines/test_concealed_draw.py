@@ -6,6 +6,7 @@ import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,11 @@ from plants import Plant, follow
 from test_machines import CENTRE, GAINS
 
 import zendsp
+from zendsp.link.concealed import Concealment
 from zendsp_protocol.errors import Refused
 from zendsp_target.concealed.draw import DRAWS, MACHINES, NAMED, draw
 from zendsp_target.concealed.load import load_concealed
-from zendsp_target.concealed.sealed import EFFECTS
+from zendsp_target.concealed.sealed import EFFECTS, Concealed, ConcealedEffect
 
 Array = np.ndarray  # type: ignore[type-arg]
 SPEED = {"imi_planar": 0.4, "pendulum": 0.4, "wam7": 0.3}  # Hz
@@ -202,3 +204,21 @@ def test_nothing_that_a_host_can_ask_tells_the_effect_before_the_reveal() -> Non
     assert truth.sha256 == seal and truth.source == "seed:17"
     assert [(e["effect"], e["joint"]) for e in truth.effects] == [("ripple", 2)]
     assert truth.effects == (hidden,)
+
+
+def test_the_truth_of_a_joint_that_slides_is_told_in_newton() -> None:
+    """The record that is sealed has the units of a joint that turns."""
+    hidden = [
+        ConcealedEffect("coulomb_asymmetry", joint, {"level_pos": 4.0, "level_neg": 9.0})
+        for joint in (1, 2)
+    ]
+    sealed = Concealed("crane", tuple(hidden), "hidden.toml")
+    joints = tuple(SimpleNamespace(unit=unit) for unit in ("rad", "m"))
+    answers = {
+        "reveal": SimpleNamespace(record=sealed.record_text(), sha256=sealed.seal(), tick=0),
+        "machine": SimpleNamespace(joints=joints),
+    }
+    asked: Any = SimpleNamespace(request=answers.__getitem__, insist=None)
+    turns, slides = Concealment(asked).reveal().effects
+    assert turns == hidden[0].told() and turns["parameters"]["level_neg"]["unit"] == "N m"
+    assert slides["parameters"]["level_neg"] == {"value": 9.0, "unit": "N"}

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TypedDict
 
 from zendsp.errors import LinkError
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
+from zendsp_protocol.texts import of_sliding
 
 
 class TrueValue(TypedDict):
@@ -52,6 +54,19 @@ class Truth:
     tick: int
 
 
+def _at_its_joint(effect: TrueEffect, slides: Collection[int]) -> TrueEffect:
+    """The effect in the units of its joint: the record has those of a joint that turns. ``slides``:
+    the joints (1-based) that do.
+    """
+    if effect["joint"] not in slides:
+        return effect
+    parameters: dict[str, TrueValue] = {
+        name: {"value": p["value"], "unit": of_sliding(p["unit"])}
+        for name, p in effect["parameters"].items()
+    }
+    return {**effect, "parameters": parameters}
+
+
 class Concealment(Part):
     """What the target's simulated machine conceals: physics that no model has."""
 
@@ -83,7 +98,9 @@ class Concealment(Part):
                 " not trust it, start the target again"
             )
         record = json.loads(answer.record)
+        machine: m.MachineInfo = self.request("machine")
+        slides = {k for k, joint in enumerate(machine.joints, 1) if joint.unit == "m"}
+        effects = tuple(_at_its_joint(effect, slides) for effect in record["effects"])
         return Truth(
-            tuple(record["effects"]), record["source"], record["friction"], answer.sha256,
-            answer.tick,
+            effects, record["source"], record["friction"], answer.sha256, answer.tick
         )

@@ -217,7 +217,10 @@ class Service:
                 else False
             )
             if busy and owner != by and owner in self.present() and not args.take:
-                raise Refused(f"{owner} is recording; wait, or take the recorder over (take=True)")
+                raise Refused(
+                    f"{owner} is recording; wait, or take the recorder over: acquire(…, take=True)"
+                    " or 'zendsp acquire --take'"
+                )
             status = self.runtime.acquire_configure(RECORDER, config)
             self._recorder_owner = by
             self._recorded, self._replaced = True, None
