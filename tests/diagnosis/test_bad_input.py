@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,11 +21,13 @@ import zendsp
 from zendsp.cli.model import check
 from zendsp.diagnosis.data import checks, plausibility
 from zendsp.diagnosis.data.checks import check_signals
+from zendsp.diagnosis.data.inputs import sources_of
 from zendsp.diagnosis.data.plausibility import scaled
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import read_divided
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model
+from zendsp.recording import Recording
 
 
 @pytest.mark.parametrize("mistake", BAD)
@@ -205,20 +208,39 @@ def test_wrong_models_are_refused_with_the_key(
 
 
 @pytest.mark.parametrize(
-    "given", [{"q": [0.0]}, SimpleNamespace(columns=["q"]), np.zeros((9, 3)), [np.zeros(9)], 3]
+    "given", [SimpleNamespace(columns=["q"]), np.zeros((9, 3)), [np.zeros(9)], 3]
 )
 def test_numbers_in_memory_are_refused_with_the_call_that_makes_a_recording_of_them(
     given: Any, model: Path
 ) -> None:
-    """A data frame and a dict were taken for the names of files that do not exist."""
-    with pytest.raises(RecordingError, match=r"is none: give .* zendsp.Recording.from_columns\("):
+    """An array was taken for the names of files that do not exist."""
+    with pytest.raises(RecordingError, match=r"no recording: give .* zendsp.Recording.from_col"):
         zendsp.diagnose(given, model)
-    with pytest.raises(RecordingError, match="is none"):
+    with pytest.raises(RecordingError, match="is no recording"):
         zendsp.diagnose("run.csv", model, given)
 
 
+def test_a_data_frame_is_read_as_the_csv_that_it_came_from(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    pandas = pytest.importorskip("pandas")
+    columns = {"t [s]": good["t"], "q [°]": np.rad2deg(good["q"]), "u [Nm]": good["u"]}
+    frame = pandas.DataFrame(columns)
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    given = load_model(model)
+    given = replace(given, columns={"time": "t", "position": "q", "command": "u"})
+    csv = read_signals(tmp_path / "run.csv", given)
+    of_zendsp = Recording.from_columns(columns, t=good["t"])
+    assert of_zendsp.names == ("t", "q", "u") and of_zendsp.units["q"] == "°"
+    for made in (frame, frame.set_index("t [s]"), columns, of_zendsp):
+        (source,) = sources_of(made)
+        read = read_signals(source, given)
+        np.testing.assert_allclose(read.position, csv.position, rtol=1e-12)
+        assert np.array_equal(read.time, csv.time) and read.name == "recording"
+
+
 def test_what_is_no_model_is_refused() -> None:
-    with pytest.raises(ModelError, match="model: int is none: give the path of a model file"):
+    with pytest.raises(ModelError, match="model: int is no model: give the path of a model file"):
         zendsp.diagnose("run.csv", 3)  # type: ignore[arg-type]
 
 

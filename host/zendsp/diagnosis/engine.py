@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_given, check_motion
 from zendsp.diagnosis.data.columns import cutting
-from zendsp.diagnosis.data.inputs import Given, model_of, sources_of
+from zendsp.diagnosis.data.inputs import Given, Recorded, model_of, sources_of
 from zendsp.diagnosis.data.prepare import at_their_poses, of_one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
@@ -73,9 +73,9 @@ ENDED_LAST = (
 
 @shows_progress
 def diagnose(
-    recordings: Source | Sequence[Source],
+    recordings: Recorded | Sequence[Recorded],
     model: Given,
-    heldout: Source | Sequence[Source] | None = None,
+    heldout: Recorded | Sequence[Recorded] | None = None,
     *,
     seed: int = 0,
     jobs: int = 2,
@@ -86,9 +86,9 @@ def diagnose(
 
     Parameters
     ----------
-    recordings : path, Recording, Table, or a sequence of them
-        To calibrate and to search on; several are fitted jointly. SI units, columns as the model
-        names them.
+    recordings : path, Recording, Table, DataFrame, or a sequence of them
+        To calibrate and to search on; several are fitted jointly. SI units, or units in the heads
+        (``angle [deg]``); columns as the model names them, without units.
     model : Model, path or dict
         The given model (docs/diagnosis.md).
     heldout : like ``recordings``, optional

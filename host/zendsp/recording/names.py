@@ -52,6 +52,20 @@ def split_unit(header: str) -> tuple[str, str]:
     return header, ""
 
 
+def split_heads(headers: Sequence[str]) -> list[tuple[str, str]]:
+    """Names and units of the columns of a table: all as quantity / unit, or each as `split_unit`
+    reads it. Names that would be the same without their units keep them.
+
+    Examples
+    --------
+    >>> split_heads(["Zeit [s]", "q"]), split_heads(["q [deg]", "q [rad]"])
+    ([('Zeit', 's'), ('q', '')], [('q [deg]', ''), ('q [rad]', '')])
+    """
+    split = split_quotients(headers) or [split_unit(header) for header in headers]
+    alone = len({name for name, _ in split}) == len(headers)
+    return split if alone else [(header, "") for header in headers]
+
+
 def split_quotients(headers: Sequence[str]) -> list[tuple[str, str]] | None:
     """Names and units of headers that are all quantity / unit, as ISO 80000 writes them; None where
     one is not, since a slash may also separate the steps of a path.

@@ -12,7 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
-from zendsp.recording.names import FloatArray, element_names, listing, pick
+from zendsp.recording.names import (
+    FloatArray,
+    element_names,
+    listing,
+    pick,
+    split_heads,
+    split_unit,
+)
 from zendsp.recording.notes import Extra, LoopTiming
 from zendsp_protocol.texts import counted, units_of
 from zendsp_protocol.values import Assignable
@@ -124,6 +131,7 @@ class Samples:
         Parameters
         ----------
         columns : mapping of name to array, shape (N,) or (N, m)
+            Without ``units`` a name may state its own, as the head of a CSV: ``"angle [deg]"``.
         sample_time : float, s
             Needed unless ``t`` is given.
         t : array, shape (N,), s
@@ -137,7 +145,13 @@ class Samples:
         RecordingError
             Columns of different lengths, or neither ``t`` nor ``sample_time``.
         """
-        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in columns.items()}
+        names = [str(name) for name in columns]
+        heads = split_heads(names) if units is None else [(name, "") for name in names]
+        arrays = {
+            name: np.asarray(columns[head], dtype=np.float64)
+            for head, (name, _) in zip(columns, heads, strict=True)
+        }
+        said = units or {name: unit for name, unit in heads if unit}
         if not arrays:
             raise RecordingError("a recording needs at least one column")
         lengths = {
@@ -161,7 +175,7 @@ class Samples:
             sample_time = float(np.median(np.diff(time))) if rows > 1 else 0.0
         matrices = [v.reshape(rows, v.shape[1] if v.ndim == 2 else 1) for v in arrays.values()]
         channels = tuple(
-            Channel(name, (units or {}).get(name, ""), matrix.shape[1])
+            Channel(name, said.get(name, ""), matrix.shape[1])
             for name, matrix in zip(arrays, matrices, strict=True)
         )
         return cls(time, np.hstack(matrices), channels, float(sample_time), **metadata)
@@ -219,6 +233,8 @@ class Samples:
         values = pick(self.signals, name)
         if values is None and name == "t":
             return self.t
+        if values is None:
+            values = pick(self.signals, split_unit(name)[0])
         if values is None:
             raise RecordingError(
                 f"the recording has no channel {name!r}; it has {listing(self.names)}"

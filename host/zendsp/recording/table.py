@@ -7,6 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
@@ -17,6 +20,7 @@ from zendsp.recording.names import (
     listing,
     pick,
     qualified,
+    split_heads,
     split_unit,
     told,
     units_in,
@@ -66,6 +70,20 @@ CONVERSIONS = {  # suffixes of what is not read: the command that makes somethin
 }
 
 
+class Frame(Protocol):
+    """What pandas and polars have in common."""
+
+    @property
+    def columns(self) -> Any:
+        """The names of the columns."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """A column."""
+
+
+Columns = Frame | Mapping[str, Any]
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """Columns of equal length, read from a file.
@@ -89,6 +107,41 @@ class Table:
     constants: Mapping[str, float] = field(default_factory=dict)
     path: Path = Path()
     notes: tuple[str, ...] = ()
+
+    @classmethod
+    def from_columns(cls, columns: Columns, name: str = "recording") -> Table:
+        """A table made of arrays, in SI units, such as a pandas or polars DataFrame.
+
+        Parameters
+        ----------
+        columns : DataFrame, or mapping of name to array, shape (N,) or (N, m)
+            Names may state units, as the heads of a CSV do: ``"angle [deg]"``.
+        name : str
+            By which messages call it.
+
+        Raises
+        ------
+        RecordingError
+            No column of numbers, or columns of different lengths.
+
+        Examples
+        --------
+        >>> table = Table.from_columns({"t [ms]": [0.0, 1.0], "q": [0.0, 2.0]})
+        >>> table["t"], table.units["t"], table.notes
+        (array([0.   , 0.001]), 's', ('t: ms converted to s',))
+        """
+        units = dict(getattr(columns, "attrs", {}).get("units", {}))  # as to_pandas has it
+        if getattr(getattr(columns, "index", None), "name", None) is not None:
+            columns = columns.reset_index()  # type: ignore[union-attr]
+        heads = list(columns if isinstance(columns, Mapping) else columns.columns)
+        raw = Raw({})
+        for head, (bare, unit) in zip(heads, split_heads([str(h) for h in heads]), strict=True):
+            values = np.asarray(columns[head])
+            if values.dtype.kind in "mM":  # times, and times since another
+                values, unit = (values - values[:1]) / np.timedelta64(1, "s"), "s"
+            raw.sort(bare, values)
+            raw.units[bare] = unit or units.get(head, "")
+        return _checked(Path(name), raw, None)
 
     def __repr__(self) -> str:
         names = [f"{n} [{self.units[n]}]" if self.units.get(n) else n for n in self.columns]

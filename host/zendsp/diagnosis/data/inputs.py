@@ -6,12 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from zendsp.diagnosis.data.columns import IN_MEMORY
 from zendsp.diagnosis.data.reading import Source
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.files.questions import still_open
 from zendsp.physics.model import Model
 from zendsp.recording import Recording, Table
+from zendsp.recording.table import Frame
 
 Given = Model | str | Path | dict[str, Any]
 
@@ -25,21 +27,31 @@ def model_of(model: Given) -> tuple[Model, tuple[str, ...]]:
         return load_model(model), (asked,) if asked else ()
     if not isinstance(model, dict):
         kind = type(model).__name__
-        raise ModelError(f"model: {kind} is none: give the path of a model file, a Model or a dict")
+        raise ModelError(
+            f"model: {kind} is no model: give the path of a model file, a Model or a dict"
+        )
     return parse_model(model), ()
 
 
-def sources_of(given: Source | Sequence[Source] | None) -> list[Source]:
+Recorded = Source | Frame | Mapping[str, Any]
+
+
+def sources_of(given: Recorded | Sequence[Recorded] | None) -> list[Source]:
     """The given recordings, each checked for its kind."""
     if given is None:
         return []
     table = isinstance(given, Mapping) or hasattr(given, "columns")  # it would list its columns
     one = table or isinstance(given, str | Path) or not isinstance(given, Iterable)
-    sources: list[Source] = [given] if one else list(given)  # type: ignore[list-item, arg-type]
-    for source in sources:
-        if not isinstance(source, str | Path | Recording | Table):
-            raise RecordingError(
-                f"recording: {type(source).__name__} is none: give the path of a file, or"
-                ' zendsp.Recording.from_columns({"q": q, "u": u}, t=t)'
-            )
-    return sources
+    sources: list[Any] = [given] if one else list(given)  # type: ignore[arg-type]
+    return [_source(each) for each in sources]
+
+
+def _source(given: Any) -> Source:
+    if isinstance(given, str | Path | Recording | Table):
+        return given
+    if isinstance(given, Mapping) or (hasattr(given, "columns") and hasattr(given, "__getitem__")):
+        return Table.from_columns(given, IN_MEMORY)
+    raise RecordingError(
+        f"recording: {type(given).__name__} is no recording: give the path of a file, a DataFrame,"
+        ' or zendsp.Recording.from_columns({"q": q, "u": u}, t=t)'
+    )
