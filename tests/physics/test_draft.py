@@ -20,7 +20,7 @@ from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.questions import open_questions
 from zendsp.recording import Table, read_table
 from zendsp.recording.roles import role_of
-from zendsp.recording.units import to_si
+from zendsp.recording.units import to_si, unit_in_name
 
 
 def test_numbers_come_from_the_recording() -> None:
@@ -257,6 +257,15 @@ def test_degrees_without_a_unit_are_suspected_by_their_counts() -> None:
     asked = asked_of(**columns | {"q": np.degrees(columns["q"])})
     assert "q has no known unit and looks like degrees (its steps are 360/4096): write" in asked
     assert "looks like degrees" not in asked_of(**columns)
+
+
+def test_no_name_that_matlab_cannot_have_is_advised() -> None:
+    columns = {f"run.{name}": values for name, values in recording().items()}
+    for unit in ("", "furlong"):
+        table = Table(columns, {"run.q": unit}, {}, Path("run.mat"))
+        asked = "\n".join(draft_model(table).questions)
+        assert "'q_deg'" in asked and "[deg]" not in asked
+    assert to_si(unit_in_name("run.q_deg")) == to_si("deg")
 
 
 @pytest.mark.parametrize("digits", [3, 4, 6])

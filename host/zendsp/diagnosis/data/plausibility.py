@@ -303,7 +303,7 @@ def _mistakes(
     # no inertia of a joint that slides tells millimetres from a command 1000 times too small
     milli = "" if rotary or not of else f"; or, if it stands there, {thousandfold(1e-3, of)}"
     other = geared if rotary else milli
-    why = f"the position is in {words}: {head} [{unit}]'{other}"
+    why = f"the position is in {words}: {head} [{unit}]' or q_{unit}{other}"
     if own:
         why = f"the position's head states its unit, so {own}"
     of_units = [

@@ -130,7 +130,7 @@ def draft_model(
     if machine is not None and known is None:
         page.line(ask=_others(machine, position))
     degrees = why_degrees(position, best_group(groups, Role.VELOCITY, joints), clock)
-    unit = _unit_asked(position, degrees)
+    unit = _unit_asked(position, degrees, table.path.suffix.lower() == ".mat")
     if robot is not None:
         put_robot(page, robot, folder, position, unit)
     elif known is not None and known.model:
@@ -299,19 +299,21 @@ def _mechanism(
     put_effects(page, "N s/m" if linear else "N m s/rad")
 
 
-def _unit_asked(position: Group, degrees: str) -> str:
+def _unit_asked(position: Group, degrees: str, in_name: bool) -> str:
     """The question after the unit of the position, empty where it has one. ``degrees`` is why it
-    looks like degrees.
+    looks like degrees. ``in_name``: names hold no brackets, as those of MATLAB.
     """
-    name, names = position.names[0], ", ".join(position.names)
-    no_unit = f"{names} {'has' if len(position.names) == 1 else 'have'} no"
-    head = "its head" if len(position.names) == 1 else "their heads"
+    one, names = len(position.names) == 1, ", ".join(position.names)
+    no_unit = f"{names} {'has' if one else 'have'} no"
+    head = ("its " if one else "their ") + ("name" if in_name else "head") + "s" * (not one)
+    name, bare = position.names[0], position.names[0].rpartition(".")[2]
+    deg, mm = (f"'{bare}_{u}'" if in_name else f"'{name} [{u}]'" for u in ("deg", "mm"))
     if position.unit in ("rad", "m"):
         return ""
     if degrees:
         return (
-            f"{no_unit} known unit and looks like degrees ({degrees}): write '{name} [deg]' in"
-            f" {head}, and begin anew"
+            f"{no_unit} known unit and looks like degrees ({degrees}): write the unit in"
+            f" {head}, as {deg}, and begin anew"
         )
     units = position.unit.split(", ")
     if len(units) > 1 and all(unit in ("rad", "m") for unit in units):
@@ -324,11 +326,11 @@ def _unit_asked(position: Group, degrees: str) -> str:
     if position.unit:
         return (
             f"{names}: {not_known(position.unit)}. Write one of them in {head}, such as"
-            f" '{name} [deg]' or '{name} [mm]', and begin anew"
+            f" {deg} or {mm}, and begin anew"
         )
     return (
         f"{no_unit} unit: is it rad, degrees or m? rad is taken; of another write the unit in"
-        f" {head}, such as '{name} [deg]', and begin anew"
+        f" {head}, such as {deg}, and begin anew"
     )
 
 
