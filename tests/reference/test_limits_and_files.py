@@ -24,11 +24,13 @@ from zendsp.reference import (
     load_reference,
     make_circle,
     make_from_file,
+    make_limited,
     make_reference,
     plot_reference,
     save_reference,
 )
 from zendsp.reference.kind import MOVE_TIME
+from zendsp.reference.limits import Limits
 
 
 @pytest.mark.parametrize(
@@ -189,6 +191,19 @@ def test_every_parameter_of_every_kind_is_ready_for_a_form() -> None:
                 default = parameter.default_for(machine)
                 if kind.fits(machine) and parameter.type != "path" and parameter != MOVE_TIME:
                     parameter.parse(default, machine)
+
+
+def test_every_default_is_within_the_limits_of_a_machine_with_little_room() -> None:
+    """Of a joint that slides, the goal lay beyond the end of its travel."""
+    limits = Limits(
+        np.array([-0.1, -2.6, -0.05]), np.array([0.15, 2.6, 0.35]), np.array([0.5, 6.0, 2.0]),
+        np.full(3, np.inf), np.full(3, np.inf),
+    )  # fmt: skip
+    crane = make_limited("crane", 0.001, [0.0, 0.0, 0.1], limits, "rad or m")
+    for kind in ("multisine", "chirp", "step", "lspb", "point_to_point"):
+        planned = make_reference(kind, crane)
+        crane.check(planned)
+        assert np.all(np.ptp(planned.q, axis=0)[: 1 if kind in ("chirp", "step") else 3] > 0.01)
 
 
 def test_command_line_plans_saves_draws_and_refuses(tmp_path: Path) -> None:

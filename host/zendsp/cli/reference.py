@@ -165,7 +165,8 @@ def _common(function: Any) -> Any:
 
 
 def _default_text(parameter: Any) -> str:
-    if parameter.by_machine or (parameter.type == "joints" and parameter.default is None):
+    home = parameter.type == "joints" and parameter.default is None
+    if parameter.by_machine or parameter.keeps or home:
         return MACHINE_DEFAULT
     if parameter.default is None:
         return "none"

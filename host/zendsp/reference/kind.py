@@ -17,6 +17,8 @@ from zendsp.reference.machine import Machine
 from zendsp_protocol.texts import number_hint
 
 # joints: one number, or one per joint. list: any count of numbers.
+ROOM = 0.1  # of a joint's travel: so far a default keeps from either end
+CALM = 0.65  # of a joint's largest speed, which a default may reach: below the usual headroom
 ParameterType = Literal["float", "int", "bool", "choice", "joints", "list", "path"]
 
 
@@ -42,6 +44,11 @@ class Parameter:
         Of a "choice".
     by_machine : mapping of str to object
         Defaults of particular machines.
+    keeps : {"", "goal", "swing"}
+        A default that stays within the limits of the machine: a position, or how far a joint swings
+        about its home.
+    fastest : float
+        rad/s: of a swing, its largest frequency.
 
     Examples
     --------
@@ -58,13 +65,36 @@ class Parameter:
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
     by_machine: Mapping[str, Any] = field(default_factory=dict)
+    keeps: Literal["", "goal", "swing"] = ""
+    fastest: float = 0.0
 
     def default_for(self, machine: Machine) -> Any:
-        """Default on a machine; a "joints" default of None is the machine's home position."""
+        """Default on a machine, within its limits; a "joints" default of None is the machine's home
+        position.
+        """
         value = self.by_machine.get(machine.name, self.default)
         if value is None and self.type == "joints":
             return machine.home.tolist()
-        return value
+        if not self.keeps or machine.name in self.by_machine:
+            return value
+        each = self._kept(machine)
+        if self.type == "float":  # of joint 1, which moves unless another is named
+            return each[0]
+        return value if all(x == value for x in each) else each
+
+    def _kept(self, machine: Machine) -> list[float]:
+        """The default of each joint, smaller where the machine has less room."""
+        out, of, value = [], machine.limits, float(self.default)
+        rows = zip(machine.home, of.position_min, of.position_max, of.speed, strict=True)
+        for home, low, high, speed in rows:
+            room = ROOM * (high - low) if math.isfinite(high - low) else 0.0
+            if self.keeps == "goal":
+                kept = min(max(value, low + room), high - room)
+            else:
+                most = max(0.0, min(home - low, high - home) - room)
+                kept = min(value, most, CALM * speed / self.fastest if self.fastest else math.inf)
+            out.append(value if kept == value else float(f"{kept:.3g}"))
+        return out
 
     def describe_bounds(self) -> str:
         """Bounds in words, "" where there are none."""

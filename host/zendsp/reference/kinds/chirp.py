@@ -125,7 +125,8 @@ KIND = Kind(
         Parameter("joint", "int", "", 1, "Joint that moves; 0: all.", 0, 64),
         START,
         Parameter(
-            "amplitude", "float", "rad or N m", 0.2, "Amplitude.", 0.0, by_machine={"wam7": 0.04}
+            "amplitude", "float", "rad or N m", 0.2, "Amplitude.", 0.0,
+            by_machine={"wam7": 0.04}, keeps="swing", fastest=2 * np.pi * 2.0,  # f1
         ),
         Parameter("f0", "float", "Hz", 0.1, "First frequency.", 1e-4, 1e5),
         Parameter("f1", "float", "Hz", 2.0, "Last frequency.", 1e-4, 1e5),

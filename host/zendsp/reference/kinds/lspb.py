@@ -130,6 +130,7 @@ KIND = Kind(
             0.5,
             "Goal of every joint.",
             by_machine={"wam7": [0.5, -1.4, 0.5, 2.5, 0.5, 0.5, 0.5]},
+            keeps="goal",
         ),
         Parameter("duration", "float", "s", 7.0, "Time of one way.", 0.01, 3600.0),
         Parameter(

@@ -132,6 +132,8 @@ KIND = Kind(
             0.0,
             1e6,
             by_machine={"wam7": [0.2, 0.15, 0.2, 0.2, 0.3, 0.3, 0.25]},
+            keeps="swing",
+            fastest=2 * np.pi * 2.0,  # f_max
         ),
         Parameter(
             "period", "float", "s", 10.0, "Period; its inverse is the spacing of the lines.", 0.05,

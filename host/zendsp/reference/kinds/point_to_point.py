@@ -111,6 +111,7 @@ KIND = Kind(
             0.5,
             "Goal of every joint.",
             by_machine={"imi_planar": [1.0, -0.5], "wam7": [0.5, -1.4, 0.5, 2.5, 0.3, 0.3, 0.3]},
+            keeps="goal",
         ),
         MOVE_TIME,
         TIME_LAW,

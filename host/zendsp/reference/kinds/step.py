@@ -77,7 +77,10 @@ KIND = Kind(
         QUANTITY,
         Parameter("joint", "int", "", 1, "Joint that steps; 0: all.", 0, 64),
         START,
-        Parameter("amplitude", "float", "rad or N m", 0.1, "Height of the whole staircase."),
+        Parameter(
+            "amplitude", "float", "rad or N m", 0.1, "Height of the whole staircase.",
+            keeps="swing",
+        ),
         Parameter("steps", "int", "", 1, "Number of equal increments.", 1, 10000),
         Parameter("wait", "float", "s", 0.2, "Rest before the first step.", 0.0, 600.0),
         Parameter("hold", "float", "s", 1.0, "Time at each level.", 1e-3, 600.0),
