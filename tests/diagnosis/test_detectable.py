@@ -17,7 +17,7 @@ from small_models import model_of
 
 from zendsp.diagnosis import Diagnosis, engine
 from zendsp.diagnosis.decide import detectable as sizes
-from zendsp.diagnosis.decide import detectable_transmission, implants
+from zendsp.diagnosis.decide import implants
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
@@ -25,6 +25,7 @@ from zendsp.diagnosis.report.html import _could_not
 from zendsp.diagnosis.report.summary import hidden as hidden_words
 from zendsp.diagnosis.report.summary import summary
 from zendsp.diagnosis.search.screen import FIRST_ORDER
+from zendsp.diagnosis.transmission.detectable import ASKED
 from zendsp.physics.calibration.handles import get_values
 from zendsp.physics.calibration.terms import grid_of, make_term
 from zendsp.physics.effects import get_effect, library
@@ -229,7 +230,7 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
     shown, hidden = ({x["effect"] for x in report[key]} for key in ("detectable", "undetectable"))
     has = {t.effect for t in d.improved.terms} | {"inertia"}  # a number of the mechanism
     asked = {e.name for e in library().values() if e.sized}
-    asked |= {"disturbance", *detectable_transmission.ASKED}
+    asked |= {"disturbance", *ASKED}
     assert shown | hidden == asked - has
     assert "torque_gain" in hidden, "inertia and friction, calibrated, imitate it"
     assert "delay" in shown, "a shift of the command column, refined, had imitated it"
@@ -274,3 +275,22 @@ def test_a_push_of_the_stated_size_is_found_in_either_part_of_the_data(
     (found,) = d.findings
     assert found.effect == "disturbance"
     assert d.times and all(begin - 0.3 < a and b < begin + 1.3 for a, b in d.times)
+
+
+def test_a_gap_of_the_stated_size_is_found_and_none_within_the_sensors_error_is_promised(
+    decided: Decided
+) -> None:
+    """Of a joint alone no size of a gap or a spring was asked."""
+    still = reality.Machine()
+    told = {x.effect: x for x in decided(still).detectable if x.mechanism == "transmission"}
+    assert set(told) == set(ASKED)
+    gap, spring = told["backlash"], told["elasticity"]
+    assert (gap.unit, spring.unit) == ("rad", "rad/(N m)")
+    assert gap.size > 1.5 * reality.RESOLUTION
+    half = 0.5 * still.inertia
+    assert gap.at["load_inertia"] == pytest.approx(half, rel=0.1)
+    # rings below what the search begins from at most
+    assert math.sqrt(1.0 / (spring.size * 0.5 * half)) < 2.0 * math.pi * 64.0
+    loose = replace(still, gap=1.3 * gap.size, load=half)
+    (found,) = decided(loose, loose).findings
+    assert found.mechanism == "transmission"

@@ -28,7 +28,6 @@ from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.detectable_bodies import detectable_bodies
 from zendsp.diagnosis.decide.detectable_push import detectable_pushes
-from zendsp.diagnosis.decide.detectable_transmission import detectable_transmissions
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.naming import name_findings
@@ -50,6 +49,7 @@ from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
 from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
+from zendsp.diagnosis.transmission.detectable import detectable_transmissions
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
 from zendsp.diagnosis.transmission.torque_sensor import sided

@@ -29,7 +29,7 @@ ASKED = ("elasticity", "backlash")
 OF_A_START = 0.3  # of a starting gap: one as small is found from it
 # the stiffest start over the stiffest spring that is stated: at its edge of the search one of 61 Hz
 # was not named
-WITHIN = 2.0
+SOFTER = 2.0
 # standard deviations of the sensor, of a gap: of four of 1 to 4, 0.3 to 1.2 counts, two were
 # "complete"
 ABOVE_SENSOR = 6.0
@@ -87,7 +87,7 @@ def _span(effect: Effect, joint: int, known: Facts) -> tuple[Term, float]:
         numbers |= {"gap": least, "stiffness": contact}
         largest = NOT_SMALL * known.scale.position
     else:
-        numbers["stiffness"], largest = max(sizes) / WITHIN, min(sizes)
+        numbers["stiffness"], largest = max(sizes) / SOFTER, min(sizes)
     damping = 0.8 if effect.name == "backlash" else DAMPING
     numbers["damping"] = damping * math.sqrt(numbers["stiffness"] * load)
     return make_term(effect, joint, numbers), largest
