@@ -169,6 +169,7 @@ def test_two_elbow_solutions_reach_the_same_point_and_no_third_exists() -> None:
 def test_values_from_a_form_are_checked_against_type_bounds_and_choices() -> None:
     for given, words in (
         ({"radius": "x"}, 'radius is "x"; expected a number'),
+        ({"x": "1e999"}, "x is inf m; expected a finite number"),
         ({"radius": 0.5}, "radius is 0.5 m; expected 0.0001 … 0.35"),
         ({"elbow": "up"}, 'elbow is "up"; expected one of positive, negative'),
         ({"turns": 1.5}, "turns is 1.5; expected a whole number"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -288,7 +289,10 @@ def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
         name, equals, text = word.partition("=")
         if not (name and equals):
             raise VariableError(f"{word!r}: expected NAME=VALUES, for example Kp1=100:500:5")
-        tried[name] = values_of(text)
+        try:
+            tried[name] = values_of(text)
+        except VariableError as error:
+            raise VariableError(f"{name} = {error}") from None
     return tried
 
 
@@ -302,6 +306,9 @@ def values_of(text: str) -> list[float]:
     """
     parts = text.split(":")
     try:
+        for part in text.replace(":", ",").split(","):
+            if not math.isfinite(float(part)):
+                raise VariableError(f"{text!r}: {part} is no finite number")
         count = int(parts[2]) if len(parts) == 3 else 0
         if len(parts) == 1:
             return [float(part) for part in text.split(",")]

@@ -149,10 +149,10 @@ class Parameter:
             ) from error
         unit = f" {self.unit}" if self.unit else ""
         for number in numbers:
-            if not (self.minimum <= number <= self.maximum):
+            if not (math.isfinite(number) and self.minimum <= number <= self.maximum):
                 raise ReferenceError_(
                     f"{self.name} is {number:g}{unit}; expected"
-                    f" {self.describe_bounds() or 'a number'}"
+                    f" {self.describe_bounds() or 'a finite number'}"
                 )
         if len(numbers) == 0:
             raise ReferenceError_(f"{self.name} is empty; expected a number")
