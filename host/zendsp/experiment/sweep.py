@@ -296,6 +296,16 @@ def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
     return tried
 
 
+def _refuse_infinite(text: str) -> None:
+    for part in text.replace(":", ",").split(","):
+        try:
+            finite = math.isfinite(float(part))
+        except ValueError:  # no number: told with what is expected
+            continue
+        if not finite:
+            raise VariableError(f"{text!r}: {part} is no finite number")
+
+
 def values_of(text: str) -> list[float]:
     """The values in a text: ``100,200,400``, or ``100:500:5`` for five from 100 to 500.
 
@@ -305,10 +315,8 @@ def values_of(text: str) -> list[float]:
         Anything else.
     """
     parts = text.split(":")
+    _refuse_infinite(text)
     try:
-        for part in text.replace(":", ",").split(","):
-            if not math.isfinite(float(part)):
-                raise VariableError(f"{text!r}: {part} is no finite number")
         count = int(parts[2]) if len(parts) == 3 else 0
         if len(parts) == 1:
             return [float(part) for part in text.split(",")]
