@@ -19,7 +19,7 @@ def until_ctrl_c() -> None:
 
 @click.group("bridge")
 def command() -> None:
-    """Show a running target in other viewers.
+    """Show a running target in other viewers. Each needs its extra (pip install '.[foxglove]').
 
     Example:  zendsp bridge foxglove -t imi
     """
@@ -48,7 +48,7 @@ def foxglove(
     They get signals, parameters and events, until Ctrl-C. CHANNELS are signals; without them, all
     of the program. The server listens on 127.0.0.1 only: from another computer use ssh -L. It lets
     in your own viewers, no other user of this computer and no foreign web page. Parameters are read
-    only without --write.
+    only without --write. Needs the extra foxglove.
 
     Example:  zendsp bridge foxglove q tau -t imi
     """
@@ -86,7 +86,7 @@ def rerun(
     """Show signals in Rerun, or write its file.
 
     It goes on until Ctrl-C. CHANNELS are signals; without them, all of the program that is loaded.
-    'rerun --bind 127.0.0.1' starts a viewer that only this computer reaches.
+    'rerun --bind 127.0.0.1' starts a viewer that only this computer reaches. Needs the extra rerun.
 
     Example:  zendsp bridge rerun q tau -t imi --save run.rrd
     """

@@ -66,7 +66,7 @@ def command(
     whose needs that machine meets; of each other one a line says what is lacking, or why it could
     not be made.
 
-    Example:  zendsp experiment friction-curve --into examples/models/imi_planar.toml
+    Example:  zendsp experiment friction-curve --out curves
     """
     from zendsp.experiment import EXPERIMENTS, Lab, fit_model
 

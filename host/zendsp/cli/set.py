@@ -43,7 +43,7 @@ def command(
     \b
     Examples:
       zendsp set Kp1=450 Kd1=40 --fade 0.5
-      zendsp set 'K=[[1, 2], [3, 4]]' 'L[0]=0.5'
+      zendsp set 'K=[[1, 2], [3, 4]]' 'L[0]=0.5'  (of a program with a matrix K and a vector L)
     """
     values = parse_assignments(assignments)
     with open_target(target, connect, moves=True) as t:
