@@ -81,8 +81,25 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     )
 
 
+OWN = ("zendsp", "zendsp_protocol", "zendsp_target", "zendsp_isr")  # packages
+
+
 class ZendspError(Exception):
     """Root of every error that zendsp raises on purpose."""
+
+    def _render_traceback_(self) -> list[str]:
+        """What IPython shows, line by line: the user's own lines, and what is wrong."""
+        import traceback
+
+        own = []
+        for frame, line in traceback.walk_tb(self.__traceback__):
+            package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+            if package in OWN:
+                break
+            if package != "IPython":
+                own.append((frame, line))
+        said = [f"{type(self).__name__}: {self}", *getattr(self, "__notes__", ())]
+        return [each.rstrip() for each in traceback.StackSummary.extract(iter(own)).format()] + said
 
 
 class LinkError(ZendspError, ConnectionError):

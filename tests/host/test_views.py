@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -176,3 +179,24 @@ def test_what_a_target_lists_is_a_table_at_a_prompt_and_in_a_notebook() -> None:
 def test_the_denormal_tail_of_a_filter_is_displayed_as_zero() -> None:
     assert short(5e-324) == ticks.short(-3e-310) == ticks.number(5e-324) == "0"
     assert short([1e-20, -1e-56]) == "[1e-20, 0]"
+
+
+def test_a_notebook_shows_an_expected_error_at_the_users_own_line(tmp_path: Path) -> None:
+    """An unknown channel was 69 lines, most of them of zendsp itself."""
+    pytest.importorskip("IPython")
+    code = (
+        "import zendsp\n"
+        "rec = zendsp.Recording.from_columns({'q': [0.0, 1.0]}, 1e-3)\n"
+        "def mine():\n"
+        "    return rec['nothing']\n"
+        "mine()\n"
+    )
+    command = [sys.executable, "-m", "IPython", "--quick", "--colors=NoColor", "-c", code]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=False,
+        env=os.environ | {"IPYTHONDIR": str(tmp_path)},
+    )  # fmt: skip
+    shown = done.stdout + done.stderr
+    assert "RecordingError: the recording has no channel 'nothing'; it has q" in shown
+    assert "line 5" in shown and "line 4, in mine" in shown and "rec['nothing']" in shown
+    assert "samples.py" not in shown and len(shown.strip().splitlines()) < 9, shown
