@@ -43,6 +43,32 @@ def test_a_hysteresis_that_keeps_the_stated_friction_is_not_how_that_turns_round
 
 
 @pytest.mark.parametrize(
+    ("effect", "at_turns", "only"),
+    [
+        ("coulomb_asymmetry", 0.998, True), ("coulomb_asymmetry", 0.1, False),
+        ("stribeck", 0.998, False), ("presliding", 0.998, False),
+        ("coulomb_asymmetry", 1.0, False),  # the joint does nothing but reverse
+    ],
+)  # fmt: skip
+def test_a_friction_that_acts_always_is_not_known_by_reversals_alone(
+    effect: str, at_turns: float, only: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model with the uneven friction that was found, as Coulomb friction and a constant, lacked
+    another one of 22 and 0 N (68 %), whose constant calibration had moved to -14: they differed
+    where the joint turned round. Its compensation drove the joint away.
+    """
+    given = model_of({"kind": "coulomb", "joint": 1, "level": 11.0})
+    monkeypatch.setattr(pieces, "at_reversals", lambda *_: at_turns)
+    parts: Any = SimpleNamespace(test=None)
+    final: Any = SimpleNamespace(model=given)
+    found = piece(0.0018, 9.0, 200.0, effect)
+    without: Any = SimpleNamespace(model=given)
+    assert pieces.only_at_turns(parts, given, final, replace(found, without=without)) is only
+    nothing = model_of()
+    assert not pieces.only_at_turns(parts, nothing, final, replace(found, without=without))
+
+
+@pytest.mark.parametrize(
     ("rival", "gain", "beside"),
     [("lag", 61_600.0, False), ("hysteresis", 61_600.0, True), ("hysteresis", 90_000.0, False)],
 )

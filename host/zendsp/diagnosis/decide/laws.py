@@ -25,7 +25,7 @@ from zendsp.diagnosis.decide.patchwork import (
     part_of_a_wave,
     stand_on_nothing,
 )
-from zendsp.diagnosis.decide.pieces import piece_of, sure, turns_round
+from zendsp.diagnosis.decide.pieces import only_at_turns, piece_of, sure, turns_round
 from zendsp.diagnosis.decide.rivals import law_of
 from zendsp.diagnosis.decide.thresholds import (
     CURVE,
@@ -85,7 +85,8 @@ def named(
     refinements: list[Claim] = []
     for piece in claimed:
         only_bends = all(any(t is x for x in bent) for t in piece.terms)
-        if only_bends or _turns_a_known_one(parts, given, final, piece, before):
+        turns = _turns_a_known_one(parts, given, final, piece, before)
+        if only_bends or turns or only_at_turns(parts, given, final, piece):
             rest = [*rest, piece]
             continue
         ranked = _ranked(parts.test, given, final, piece, search.base, jobs)

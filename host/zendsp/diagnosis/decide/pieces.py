@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.law_torque import (
     kind_of,
     known_discrepancy,
     may_leave,
+    rubs,
     torque_of,
 )
 from zendsp.diagnosis.decide.near import why_apart
@@ -409,6 +410,19 @@ def turns_round(parts: Parts, given: Model, final: Scored, piece: Piece) -> bool
         return False
     beside = _keeps_its_numbers(given, final.model, piece)
     return not beside and _turning(parts, final, piece)
+
+
+def only_at_turns(parts: Parts, given: Model, final: Scored, piece: Piece) -> bool:
+    """Whether a law of dry friction that acts always, in place of the model's own, is seen where
+    the joint reverses only: an uneven friction and a constant torque together are the friction and
+    the constant of the model, but for how they turn round.
+    """
+    joint = piece.terms[0].joint
+    always = all(set(get_effect(e).names) == set(get_effect(e).linear) for e in piece.effects)
+    if piece.mechanism != DRY or not always or not rubs(given, joint):
+        return False
+    turning = at_reversals(parts.test, piece.without.model, final.model, joint)
+    return PREDICTED <= turning < 1.0  # where the joint does more than reverse
 
 
 def _keeps_its_numbers(given: Model, final: Model, piece: Piece) -> bool:
