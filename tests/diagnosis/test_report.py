@@ -284,7 +284,9 @@ def test_of_an_unknown_torque_only_ripples_are_compensated(
     numbers = {p.name: Quantity(0.5) for p in get_effect(refines).parameters}
     model = Model("bench", None, "rotary", {}, terms=(Term(refines, 1, numbers),))
     said = SimpleNamespace(sentence="A torque …", effect="unknown", joint=1)
-    d: Any = SimpleNamespace(report=lambda: report, improved=model, findings=[said])
+    d: Any = SimpleNamespace(
+        report=lambda: report, improved=model, findings=[said], notes=[]
+    )
     assert stands_for(report) == {("unknown", 1)} | ({(refines, 1)} if stands else set())
     files._compensation(d, tmp_path)
     code = " ".join((tmp_path / "compensation.c").read_text().split())
@@ -304,7 +306,8 @@ def test_the_compensation_has_the_numbers_of_the_sentence(refines: str, tmp_path
     more = Finding(refines, 1, {}, 0.2, 0.0, (), (), "", mechanism=mechanism_of(refines))
     said: Any = {"findings": [vars(found)], "refinements": [vars(more)]}
     d: Any = SimpleNamespace(
-        report=lambda: said, improved=model, findings=[found], refinements=[more]
+        report=lambda: said, improved=model, findings=[found], refinements=[more],
+        notes=[],
     )
     files._compensation(d, tmp_path)
     code = (tmp_path / "compensation.c").read_text()

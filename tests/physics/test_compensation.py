@@ -235,13 +235,16 @@ def test_no_code_is_offered_for_a_refinement_that_no_torque_cancels(
     model = Model("axis", None, "rotary", {}, terms=(law, Term(refinement, 1, {})))
     said = Finding("viscous", 1, {}, 0.97, 1.0, (), (), "", mechanism="fluid_friction")
     d: Any = SimpleNamespace(
-        report=lambda: report, improved=model, findings=[said], refinements=[]
+        report=lambda: report, improved=model, findings=[said], refinements=[],
+        notes=["joint 1: calibration moves coulomb level 5 to 11 N (+120 %)", "else"],
     )
     files._compensation(d, tmp_path)
     code = (tmp_path / "compensation.c").read_text()
     assert f"left out ({refinement})." in code
     assert ("--effects-only" in code) is offered
-    assert "gravity and inertia too, is left out as well; zendsp model2c" in " ".join(code.split())
+    said_of_it = " ".join(code.split())
+    assert "gravity and inertia too, is left out as well; zendsp model2c" in said_of_it
+    assert "Not compensated: joint 1: calibration moves coulomb level 5 to 11 N" in said_of_it
 
 
 @pytest.mark.parametrize(("joint", "stands"), [(1, True), (2, False)])
@@ -257,7 +260,8 @@ def test_the_level_to_which_a_found_friction_falls_is_compensated_too(
     said = Finding("stribeck", 1, {}, 0.97, 1.0, (), (), "", mechanism="dry_friction")
     model = Model("axis", None, "linear", {}, terms=terms)
     d: Any = SimpleNamespace(
-        report=lambda: report, improved=model, findings=[said], refinements=[]
+        report=lambda: report, improved=model, findings=[said], refinements=[],
+        notes=["joint 1: calibration moves coulomb level 5 to 11 N (+120 %)", "else"],
     )
     files._compensation(d, tmp_path)
     code = (tmp_path / "compensation.c").read_text()
