@@ -75,10 +75,14 @@ def test_run_says_that_the_program_crashed_and_reading_it_says_so(user: Installe
 
 
 def test_run_says_that_a_compensation_acts(user: Installed) -> None:
-    user.write("with.c", RUNS.replace("a, 1.0", "comp_share, 1.0").replace(" a ", " comp_share "))
+    blank = RUNS.replace("a, 1.0", "comp_share, 1.0").replace(" a ", " comp_share ")
+    user.write("blank.c", blank)
+    acts = blank.replace("bool on", "bool comp_on").replace("PARAMETER(on", "PARAMETER(comp_on")
+    user.write("with.c", acts)
     said = user.run("run", "with.c", "--set", "comp_share=0.5")
     assert said.returncode == 0 and "times comp_share = 0.5 (" in said.stderr, said
     assert "comp_share" not in user.run("run", "runs.c").stderr
+    assert "comp_share" not in user.run("run", "blank.c").stderr, "nothing can be compensated"
 
 
 def test_start_says_that_the_program_ended_in_its_first_samples(user: Installed) -> None:

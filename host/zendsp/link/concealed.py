@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TypedDict
 
-from zendsp.errors import LinkError
+from zendsp.errors import LinkError, Refused
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
 from zendsp_protocol.texts import of_sliding
@@ -98,9 +98,16 @@ class Concealment(Part):
                 " not trust it, start the target again"
             )
         record = json.loads(answer.record)
-        machine: m.MachineInfo = self.request("machine")
-        slides = {k for k, joint in enumerate(machine.joints, 1) if joint.unit == "m"}
+        slides = self._sliding()
         effects = tuple(_at_its_joint(effect, slides) for effect in record["effects"])
         return Truth(
             effects, record["source"], record["friction"], answer.sha256, answer.tick
         )
+
+    def _sliding(self) -> set[int]:
+        """The joints (1-based) that slide; none where no program tells the machine yet."""
+        try:
+            machine: m.MachineInfo = self.request("machine")
+        except Refused:
+            return set()
+        return {k for k, joint in enumerate(machine.joints, 1) if joint.unit == "m"}
