@@ -51,6 +51,8 @@ from zendsp_protocol.views import with_std
 Array = npt.NDArray[np.float64]
 Line = tuple[float, float, float, float]  # level, viscous coefficient, their half widths
 
+# how seldom chance explains as much as a held joint that was seen to give way: it couples anyway
+COUPLES = 0.95
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
 ENOUGH = 8  # moves: a line of each direction, the weight and the inertia are seven numbers
@@ -233,7 +235,7 @@ def surest(
 
 def with_coupling(sliding: Sliding, may_weigh: bool) -> tuple[Sliding, tuple[int, ...]]:
     """The pieces with the accelerations of held joints that gave way, where these explain more of
-    the torque than chance would once in a hundred times, by parts of the way; and which joints.
+    the torque than chance would once in twenty times, by parts of the way; and which joints.
 
     A joint k that gives way takes M_jk qdd_k of the torque of joint j, in time with the motion:
     beside what a joint itself turns that looks like friction.
@@ -250,7 +252,7 @@ def with_coupling(sliding: Sliding, may_weigh: bool) -> tuple[Sliding, tuple[int
         tried = {k: fit_friction(x, may_weigh, unknown=True).squares for k, x in more.items()}
         best = min(tried, key=lambda k: tried[k])
         free = parts - 5 - 2 * may_weigh - len(more[best].further)
-        if free < 1 or squares - tried[best] <= fdtri(1, free, NO_CHANCE) * tried[best] / free:
+        if free < 1 or squares - tried[best] <= fdtri(1, free, COUPLES) * tried[best] / free:
             break
         sliding, squares, taken = more[best], tried[best], (*taken, best)
     return sliding, taken
