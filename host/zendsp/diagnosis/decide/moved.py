@@ -21,7 +21,7 @@ from zendsp.physics.term_numbers import file_model
 FAR = 3.0  # standard deviations
 AS_FACTOR = 10.0  # a change beyond is said as a factor, not in per cent
 G = 9.81  # m/s²
-MOVES = "calibration moves"  # how such a note begins, after its joint
+MOVED_NUMBERS = "calibration moves"  # how such a note begins, after its joint
 
 
 def moved(given: Model, calibrated: Model) -> list[str]:
@@ -33,7 +33,7 @@ def moved(given: Model, calibrated: Model) -> list[str]:
     for joint in range(1, given.joints + 1):
         far = [n for n in _numbers(given, calibrated, joint) if n.is_far]
         if far:
-            text = f"{MOVES} {', '.join(map(str, far))}"
+            text = f"{MOVED_NUMBERS} {', '.join(map(str, far))}"
             # a single number of a simulator is of no joint
             own = all(not n.effect and len(given.mechanism[n.key]) == 1 for n in far)
             if given.kind not in CALLED or not own:

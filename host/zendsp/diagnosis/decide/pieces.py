@@ -418,7 +418,9 @@ def only_at_turns(parts: Parts, given: Model, final: Scored, piece: Piece) -> bo
     the constant of the model, but for how they turn round.
     """
     joint = piece.terms[0].joint
-    always = all(set(get_effect(e).names) == set(get_effect(e).linear) for e in piece.effects)
+    laws = [get_effect(e) for e in piece.effects]
+    # of one number it is the friction itself
+    always = all(len(e.names) > 1 and set(e.names) == set(e.linear) for e in laws)
     if piece.mechanism != DRY or not always or not rubs(given, joint):
         return False
     turning = at_reversals(parts.test, piece.without.model, final.model, joint)

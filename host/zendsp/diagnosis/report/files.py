@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from zendsp.diagnosis.decide.contract import Report
-from zendsp.diagnosis.decide.moved import MOVES
+from zendsp.diagnosis.decide.moved import MOVED_NUMBERS
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
@@ -190,7 +190,7 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
                 " model.toml --effects-only."
             )
         sentences.append(said)
-    sentences += [f"Not compensated: {note}." for note in d.notes if MOVES in note]
+    sentences += [f"Not compensated: {note}." for note in d.notes if MOVED_NUMBERS in note]
     sentences.append(
         "What the given model had, gravity and inertia too, is left out as well; zendsp model2c"
         " model.toml writes functions of all of it."
