@@ -213,7 +213,7 @@ def test_what_a_held_joint_couples_into_a_move_is_fitted_beside_friction(tmp_pat
     truth = {"inertia1": 2.695, "coulomb1": 3.0, "viscous1": 1.5, "coulomb2": 1.0, "viscous2": 0.5}
     for name, true in truth.items():
         e = found.values[name]
-        assert abs(e.value - true) < 3 * e.std < 0.15 * true, (name, e)
+        assert abs(e.value - true) < 3 * e.std < 0.1 * true, (name, e)
     assert not any("was to be held" in text for text in found.warnings)
 
 

@@ -51,8 +51,6 @@ from zendsp_protocol.views import with_std
 Array = npt.NDArray[np.float64]
 Line = tuple[float, float, float, float]  # level, viscous coefficient, their half widths
 
-# how seldom chance explains as much as a held joint that was seen to give way: it couples anyway
-COUPLES = 0.95
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
 ENOUGH = 8  # moves: a line of each direction, the weight and the inertia are seven numbers
@@ -235,24 +233,28 @@ def surest(
 
 def with_coupling(sliding: Sliding, may_weigh: bool) -> tuple[Sliding, tuple[int, ...]]:
     """The pieces with the accelerations of held joints that gave way, where these explain more of
-    the torque than chance would once in twenty times, by parts of the way; and which joints.
+    the torque than chance would once in a hundred times, by parts of the way; and which joints.
 
     A joint k that gives way takes M_jk qdd_k of the torque of joint j, in time with the motion:
-    beside what a joint itself turns that looks like friction.
+    beside what a joint itself turns that looks like friction. It is felt most in fast moves, so
+    all pieces count alike here; those of a coarse encoder would hardly count in the fit.
     """
     from scipy.special import fdtri
+
+    def squares_of(pieces: Sliding) -> float:
+        return fit_friction(pieces.alike(), may_weigh, unknown=True).squares
 
     parts = len(np.unique(sliding.part))
     taken: tuple[int, ...] = ()
     least = GAVE * float(np.std(sliding.acceleration))
     gave = {k for k, turn in sliding.turns.items() if np.std(turn) > least}
-    squares = fit_friction(sliding, may_weigh, unknown=True).squares
+    squares = squares_of(sliding)
     while left := gave - set(taken):
         more = {k: replace(sliding, further=(*sliding.further, sliding.turns[k])) for k in left}
-        tried = {k: fit_friction(x, may_weigh, unknown=True).squares for k, x in more.items()}
+        tried = {k: squares_of(x) for k, x in more.items()}
         best = min(tried, key=lambda k: tried[k])
         free = parts - 5 - 2 * may_weigh - len(more[best].further)
-        if free < 1 or squares - tried[best] <= fdtri(1, free, COUPLES) * tried[best] / free:
+        if free < 1 or squares - tried[best] <= fdtri(1, free, NO_CHANCE) * tried[best] / free:
             break
         sliding, squares, taken = more[best], tried[best], (*taken, best)
     return sliding, taken

@@ -64,6 +64,10 @@ class Accelerated(Sliding):
 
     sure: Array = field(default_factory=lambda: np.zeros(0))
 
+    def alike(self) -> Sliding:
+        """The pieces as if they were equally sure."""
+        return replace(self, sure=np.ones_like(self.torque), planned=())
+
     def weights(self) -> Array:
         """Those of `surer`."""
         return self.sure
@@ -229,7 +233,9 @@ def surer(pieces: Sliding, long: Array) -> Array:
     """
     up = pieces.speed > 0
     friction = [up, ~up, up * pieces.speed, ~up * pieces.speed]
-    every = [*friction, *pieces.turning(), pieces.acceleration, *pieces.further]
+    # a held joint that gives way is felt most where the moves are short, as noise is
+    beside = (*pieces.further, *pieces.turns.values())
+    every = [*friction, *pieces.turning(), pieces.acceleration, *beside]
     A = np.stack(every, axis=1).astype(np.float64)
     best, found = np.inf, np.ones_like(pieces.torque)
     for share in NOISE:

@@ -112,6 +112,10 @@ class Sliding:
         edges = np.linspace(self.q.min(), self.q.max(), 11)[1:-1]
         return np.digitize(self.q, edges)
 
+    def alike(self) -> Sliding:
+        """The pieces without what is known of their noise."""
+        return self
+
     def weights(self) -> Array:
         """The weight of each piece: one over the scatter of pieces of that speed about a parabola
         along their part, relative to the largest. Short fast parts scatter ten times as much as
