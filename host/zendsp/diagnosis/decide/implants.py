@@ -132,18 +132,26 @@ class Implant:
         return NOT_SEEN
 
     def _without(self, model: Model, smaller: Scored | None, grown: float) -> Scored:
-        """The calibrated numbers and the observer fitted without the implant. They start from those
-        of a ``smaller`` implant, extrapolated by how much it has ``grown``, since to first order
-        they follow its size.
+        """The calibrated numbers and the observer fitted without the implant, the last of the
+        ``model``'s terms. They start from those of a ``smaller`` implant, extrapolated by how much
+        it has ``grown``, since to first order they follow its size. A fit that does not come near
+        the deviance of one that hides the implant ends.
         """
         data, joints = (smaller or self.final).data, (self.joint,)
         handles = joint_handles(data, model, self.joint)
         if smaller is not None:
             at, ended = (get_values(m, handles) for m in (model, smaller.model))
             model = set_values(model, handles, at + grown * (ended - at))
-        near = partial(self._near, handles)
         return fit_scored(
-            data, model, handles, joints, iterations=ITERATIONS, jobs=self.jobs, rounds=2, near=near
+            data,
+            model,
+            handles,
+            joints,
+            iterations=ITERATIONS,
+            jobs=self.jobs,
+            rounds=2,
+            goal=self.final.deviance + self._sought(model.terms[-1]) ** 2,
+            near=partial(self._near, handles),
         )
 
     def _near(self, handles: tuple[Handle, ...], data: Data) -> Fit:
@@ -156,13 +164,17 @@ class Implant:
             )
         return self._finals[key]
 
+    def _sought(self, term: Term) -> float:
+        """The root of the deviance that a search must gain with an effect, nine times in ten."""
+        worth = max(WAIT + price((term,), self.n), PROMISING * self.n)
+        return math.sqrt(worth) + NINE_IN_TEN
+
     def _short_by(self, term: Term, without: Scored, least: float) -> tuple[float, float]:
         """The factor by which an effect would have to be larger (1 or less: it is seen), and its
         torque.
         """
         test, joint, final = self.test, self.joint, self.final
         torque = difference(test, without.model, final.model, joint)
-        worth = max(WAIT + price((term,), self.n), PROMISING * self.n)
         found = without.deviance - final.deviance
         settle = max(settling(without, joint), settling(final, joint))
         if settle not in self._scores:
@@ -171,7 +183,7 @@ class Implant:
         log_e = log_e_value(held, without, final, test, joint)
         worse = standing_out(test, window_error(test, without.model, joint), self.errors, joint)
         likely = min(
-            _root(found) / (math.sqrt(worth) + NINE_IN_TEN),
+            _root(found) / self._sought(term),
             _root(2.0 * log_e) / self.root,
             held.z / (CLAIMED + NINE_IN_TEN),
         )

@@ -324,12 +324,10 @@ class Rounds:
     def _is_idle(self, current: Scored, group: list[Candidate]) -> bool:
         """Whether a screened hypothesis promises too little for a step on all samples, under the
         model's own observer, and under a slow one too where that is fast. (A screen on thinned
-        samples may promise more.) False where the model has hidden states, which no screen sees,
-        and for hypotheses that replace a term or that a screen cannot see.
+        samples may promise more.) False for hypotheses that replace a term or that a screen cannot
+        see.
         """
-        terms = current.model.at(self.joint)
-        unseen = get_effect(group[0].effect).hides or group[0].replaces
-        if unseen or any(get_effect(t.effect).scan is not None for t in terms):
+        if get_effect(group[0].effect).hides or group[0].replaces:
             return False
         least = WAIT + self._price_of(group)
         if self._promised(current, group) > PROMISED_ON_ALL * least:

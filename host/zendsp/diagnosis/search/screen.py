@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.calibration.bounds import parameter_bounds
-from zendsp.physics.calibration.fit import Data, Fit
+from zendsp.physics.calibration.fit import Data, Fit, residuals
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.joint import JointRecord, along, effective_inertia, facts
 from zendsp.physics.calibration.observed import damping_along, response, sensed, trace, traces
@@ -106,7 +106,9 @@ class Screen:
             self._free(rec, floor) for rec, floor in zip(self.records, self.floors, strict=True)
         ]
         self.cost = float(self.left @ self.left)
-        self.scaled = any(get_effect(t.effect).site in SCALES for t in self.model.at(joint))
+        known = [get_effect(t.effect) for t in self.model.at(joint)]
+        self.scaled = any(effect.site in SCALES for effect in known)
+        self.hidden = any(effect.scan is not None for effect in known)  # states that no trace knows
 
     @staticmethod
     def _rows(data: Data, joint: int, joints: tuple[int, ...]) -> npt.NDArray[np.bool_]:
@@ -242,12 +244,30 @@ class Screen:
         return self._candidate(effect, *max(self._at(effect, points), key=lambda found: found[0]))
 
     def gain_of(self, candidate: Candidate) -> float:
-        """The decrease of the cost that a candidate of one term promises at its grid point."""
+        """The decrease of the cost that a candidate of one term promises at its grid point. Where
+        the model has hidden states, which no trace knows, by a simulation of the candidate's size.
+        """
         effect = get_effect(candidate.effect)
         free = {*effect.linear, phase_of(effect), "neutral"}
         numbers = candidate.terms[0].parameters.items()
         point = {name: q.value for name, q in numbers if name not in free}
-        return max(gain for gain, _ in self._at(effect, [point]))
+        if not self.hidden:
+            return max(gain for gain, _ in self._at(effect, [point]))
+        sizes = {n: abs(candidate.terms[0].value(n)) or 1.0 for n in effect.linear}
+        columns = self.simulated(
+            [
+                make_term(effect, self.joint, {n: v * sizes.get(n, 1.0) for n, v in way.items()})
+                for way in self._directions(effect, point)
+            ]
+        )
+        return next(self.groups(columns, len(columns)))[0]
+
+    def simulated(self, terms: Sequence[Term]) -> Array:
+        """What some terms of one effect change in the innovations, each alone, (terms, n of all
+        recordings).
+        """
+        trials = [replace(self.model, terms=(*self.model.terms, term)) for term in terms]
+        return np.ascontiguousarray(residuals(self.data, trials, (self.joint,)).T - self.r)
 
     def _best(self, effect: Effect) -> list[Candidate]:
         """The candidates of an effect at its best grid point, one for each choice of the numbers

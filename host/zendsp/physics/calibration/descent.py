@@ -173,7 +173,7 @@ class Descent:
         cost = float(r @ r)
         shorter = [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]
         ways, promised = self.ways(x, r, jac)
-        if promised < least and not self.rough:
+        if promised < least:
             return None
         for dampings in ([damping], shorter):  # then all shorter steps at once
             trials = ways(dampings)
@@ -199,7 +199,8 @@ class Descent:
         x = np.clip(x, self.low, self.high)
         r, jac = self.jacobian(x)
         cost, damping, done, count = float(r @ r), 1e-3, not len(x), 0
-        worth = WORTH_A_STEP[0 if brief else 1] * tolerance
+        # on what is rough a step may gain where nothing is promised
+        worth = 0.0 if self.rough else WORTH_A_STEP[0 if brief else 1] * tolerance
         while not done and count < iterations:
             count += 1
             least = max(worth * cost, (cost - goal) / BEYOND_PROMISE)
