@@ -8,7 +8,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from zendsp.diagnosis.measure.likelihood import Scored, cost_of, deviance, tune_bandwidth
+from zendsp.diagnosis.measure.likelihood import (
+    Scored,
+    cost_of,
+    deviance,
+    informative,
+    tune_bandwidth,
+)
 from zendsp.diagnosis.search.candidates import first_look
 from zendsp.diagnosis.search.hypothesis import Rival, price
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
@@ -103,7 +109,8 @@ class ShortFits:
             model = with_candidate(begin.model, candidate)
             handles = joint_handles(data, model, self.joint)
             look = data if whole else first_look(data, model, self.joint)
-            result = self._short(look, model, handles, 3 if len(group) > 1 else 6)
+            goal = self._goal(candidate, begin, look)
+            result = self._short(look, model, handles, 3 if len(group) > 1 else 6, goal=goal)
             tried.append((result.cost, candidate, result))
         _, candidate, result = min(tried, key=lambda t: t[0])
         value = deviance(current.data, result.model, (self.joint,))
@@ -115,6 +122,17 @@ class ShortFits:
             result = self._short(look, result.model, result.handles, 10 if rough else 5)
             value = deviance(here, result.model, (self.joint,))
         return candidate, result, value
+
+    def _goal(self, candidate: Candidate, begin: Scored, look: Data) -> float:
+        """The sum of squares from which on a hypothesis upon some numbers is examined. Of one that
+        begins far from its own, as those of hidden states do, nothing is known.
+        """
+        if get_effect(candidate.effect).scan is not None or candidate.replaces:
+            return math.inf
+        level = begin.deviance if look is begin.data else self._looked_through(begin)[0]
+        least = WAIT + price(candidate.terms, self.n)
+        seen = informative(look, self.joint) / max(self.n, 1)
+        return cost_of(look, self.joint, level - least * seen)
 
     def _upon_its_numbers(
         self, current: Scored, candidate: Candidate, result: Fit, value: float
