@@ -215,6 +215,21 @@ def test_an_effect_that_promises_nothing_on_all_samples_is_not_fitted(
     assert ("quadratic_drag" in fitted) is (drag > 0.0)  # every search lists it
 
 
+@pytest.mark.parametrize("ripple", [0.0, 0.004])
+def test_beside_a_gap_too_what_promises_nothing_is_not_fitted(
+    ripple: float, fitted: list[str]
+) -> None:
+    """All 21 hypotheses were, each for a quarter of a second, after a gap had explained all."""
+    machine = reality.Machine(gap=0.003, load=0.005, ripple=ripple)
+    columns = reality.simulate(machine, reality.multisine(6.0, RATE, 3), RATE)
+    gap = {"kind": "backlash", "joint": 1, "gap": 0.003, "stiffness": 120.0, "load_inertia": 0.005}
+    data = data_of(columns, base := model_of(VISCOUS, COULOMB, {**gap, "damping": 0.05}))
+    rivals = Rounds(data, 1, 1, print, base).round(calibrate_joint(data, base, 1))
+    assert ("quadratic_drag" in fitted) is False  # every search lists it
+    assert ("ripple" in fitted) is (ripple > 0.0)
+    assert not ripple or rivals[0].effect == "ripple"
+
+
 @pytest.mark.parametrize("promised", [True, False])
 def test_a_hypothesis_that_a_first_look_misfits_is_fitted_from_the_models_numbers(
     promised: bool, monkeypatch: pytest.MonkeyPatch
@@ -380,6 +395,29 @@ def test_a_fit_upon_the_models_numbers_ends_where_it_cannot_gain(
     short._upon_its_numbers(current, OFFSET, begun, -worse)
     of = [cost_of(current.data, 1, value) for value in (current.deviance, -worse)]
     assert goals == pytest.approx([of[0], of[0], of[1], of[1]])
+
+
+def test_a_short_fit_ends_where_its_hypothesis_cannot_come_to_be_examined(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nor is one that begins far from its numbers, as those of hidden states do, judged there."""
+    current = complete(2.0)
+    goals: dict[str, float] = {}
+    fitted = short_fits.fit
+
+    def noted(data: Data, model: Model, *args: Any, goal: float = np.inf, **more: Any) -> Any:
+        effect = model.terms[-1].effect
+        level = cost_of(data, 1, deviance(data, current.model, (1,)))
+        goals.setdefault(effect, goal - level)
+        return fitted(data, model, *args, goal=goal, **more)
+
+    monkeypatch.setattr(short_fits, "fit", noted)
+    short = ShortFits(1, 1, 2000)
+    spring = candidate("elasticity", stiffness=20.0, damping=0.01, load_inertia=0.004)
+    for one in (OFFSET, spring):
+        short.quick(current, [one])
+    assert goals["torque_offset"] < 0.0
+    assert goals["elasticity"] == np.inf
 
 
 def test_what_is_behind_a_step_that_cannot_be_taken_is_not_asked(
