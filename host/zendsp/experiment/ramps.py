@@ -17,7 +17,6 @@ from zendsp.reference import Reference
 
 BEFORE = 0.1  # s, before a ramp, that belong to it: a mean weighs its middle most
 FEWEST = 41  # rows, that a mean over a ramp is made of
-TOLD = 0.2  # of an inertia, its standard deviation at most where it is taken off
 # of the friction, that it may be off by in a ramp that ends at rest: it falls or rises there, by a
 # third on the planar arm, in the last of 250 ms (docs/measurements/experiments.md)
 AT_REST = 0.1
@@ -38,7 +37,7 @@ class Turned:
 
 def ramped(rec: Recording, reference: Reference, joint: int, found: Friction) -> Turned | None:
     """The inertia that the ramps of a joint's moves show beside the weight and the viscous friction
-    that its pieces at constant speed show; None where they do not.
+    that its pieces at constant speed show; None where it is not told from nothing.
 
     Only ramps down to rest: there the joint slides all the time, and friction is what it was. From
     rest on bristles bend first, the longer the slower the ramp, which looks like inertia.
@@ -67,7 +66,7 @@ def ramped(rec: Recording, reference: Reference, joint: int, found: Friction) ->
     viscous = found.mean[3] * float(np.abs(speed).max())  # of which the line is unsure
     off = np.hypot(AT_REST * found.mean[0], viscous / NORMAL) / hard
     std = np.hypot(half / NORMAL, off)
-    if not std[0] < TOLD * x[0]:
+    if not NORMAL * std[0] < x[0]:
         return None
     coupled = {k: (float(x[n + i]), float(std[n + i])) for i, k in enumerate(taken)}
     return Turned(float(x[0]), float(std[0]), coupled)
