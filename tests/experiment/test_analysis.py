@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from zendsp.errors import RecordingError, Unmeasured
-from zendsp.experiment.any_friction import _report, fit_line, with_coupling
+from zendsp.experiment.any_friction import _report, fit_line, surest, with_coupling
 from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.friction_curve import fit_curve
 from zendsp.experiment.motor import steady_means
 from zendsp.experiment.planar_arm import ARM, inertia_torque
+from zendsp.experiment.ramps import Turned
 from zendsp.experiment.result import Result
 from zendsp.experiment.sliding import (
     Sliding,
@@ -246,6 +247,25 @@ def test_a_held_joint_that_gives_way_is_told_and_one_that_does_not_move_is_none(
     pulled = replace(joint, turns=turns, torque=joint.torque + 0.6 * turns[2])
     sliding, coupled = with_coupling(pulled, True)
     assert coupled == (2,) and np.array_equal(sliding.further[0], turns[2])
+
+
+def test_what_uneven_friction_does_at_constant_speed_is_no_inertia() -> None:
+    """Where friction grows the joint lags and is accelerated, in time with it: 0.54 and 0.75 kg m^2
+    of 0.196 were found, and of the planar arm's viscous friction 73 % of 200 intervals held.
+    """
+    rng, held = np.random.default_rng(5), {"pieces": 0, "ramps": 0}
+    for _ in range(20):
+        joint = unknown_joint(rng, 0.0, 0.0)
+        sway = 0.05 * 0.1 * np.sin(14 * joint.q + rng.uniform(0, 6)) * np.sign(joint.speed)
+        lags, settles = 200.0 * joint.speed**2 * sway, 1.0 * joint.speed
+        rest = joint.torque - 0.002 * joint.acceleration
+        turned = lags + settles + 0.1 * rng.standard_normal(120)
+        moved = replace(joint, acceleration=turned, torque=rest + sway + 0.002 * turned)
+        pieces = fit_line(moved, True)
+        _, ramps, _ = surest(moved, pieces, (), Turned(0.002, 0.0004), True)
+        for name, found in (("pieces", pieces), ("ramps", ramps)):
+            held[name] += abs(found.mean[1] - 0.005) <= found.mean[3]
+    assert held["ramps"] >= 18 and held["pieces"] < 15, held
 
 
 def test_what_a_command_is_rounded_by_is_in_the_intervals() -> None:
