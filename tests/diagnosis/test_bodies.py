@@ -296,7 +296,10 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
     ]
 
 
-@pytest.mark.parametrize("aside", [0.0, 0.03])
+ASIDE = pytest.mark.long("the other is the same decision; lost: a load beside the link's line")
+
+
+@pytest.mark.parametrize("aside", [0.0, pytest.param(0.03, marks=ASIDE)])
 def test_a_payload_that_calibration_of_a_planar_arm_takes_up_is_named(
     aside: float, tmp_path: Path
 ) -> None:

@@ -164,21 +164,22 @@ def test_a_bar_that_may_not_go_round_is_measured_and_swung_within_its_range(
     truth = {"inertia1": 0.026569, "weight_sine1": 1.1772, "weight_cosine1": 0.0,
              "coulomb1": 0.15, "viscous1": 0.03}  # fmt: skip
     copies = []
-    for seed in (1, 2, 3):  # of the noise: what is stated of it differs by three from copy to copy
+    for seed in (1, 2):  # of the noise: what is stated of it differs by three from copy to copy
         with started(tmp_path, BAR, "bar", seed) as target:
             copies.append(run_experiment("mechanical", Lab(tmp_path / str(seed), target)).values)
-    for name, true in truth.items():
-        each = sorted((copy[name] for copy in copies), key=lambda e: e.std)
-        assert all(abs(e.value - true) < 4 * e.std for e in each), (name, each)
-        near({name: each[1]}, {name: true}, 0.03)
-    with started(tmp_path, BAR, "bar") as target:
+    with started(tmp_path, BAR, "bar", 3) as target:
         lab = Lab(tmp_path, target)
         found = run_experiment("mechanical", lab)
+        copies.append(found.values)
         assert found.mechanism["gravity"].value == found.values["weight_sine1"].value
         swung = run_experiment("swing", lab).values
         assert swung["closed_loop_final_error"].value < 0.05
         for name in ("mechanical", "swing"):
             keeps_within(tmp_path / name, 2.0, 0.8 * 2 * np.pi)
+    for name, true in truth.items():
+        each = sorted((copy[name] for copy in copies), key=lambda e: e.std)
+        assert all(abs(e.value - true) < 4 * e.std for e in each), (name, each)
+        near({name: each[1]}, {name: true}, 0.03)
 
 
 def test_each_motor_behind_a_voltage_is_measured_within_its_range(tmp_path: Path) -> None:
