@@ -169,6 +169,18 @@ def test_noise_of_a_fraction_of_a_count_shows_where_a_motion_is_slow(noise: floa
     assert noise_beside_quantisation(COUNT * np.round(motion / COUNT), COUNT) < 0.05 * COUNT
 
 
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_a_recording_with_little_slow_motion_has_no_less_noise_than_a_long_one(seed: int) -> None:
+    """Of three recordings of one sensor two were said to have none of its 0.12 counts, and their
+    median took them from the third: 3.7 % of the torque of a complete model seemed missing.
+    """
+    time, r = np.arange(3000) * 1e-3, np.random.default_rng(seed)
+    motion = 100 * np.sin(3.5 * time)  # 0.35 counts a sample at most
+    noisy = np.round(motion + 0.12 * r.standard_normal(len(time)))
+    assert noise_beside_quantisation(noisy, 1.0) == pytest.approx(0.12, abs=0.03)
+    assert noise_beside_quantisation(np.round(motion), 1.0) < 0.05
+
+
 @pytest.mark.parametrize("pace", [0.45, 0.8, 1.04, 3.3])
 def test_noise_is_told_in_motion_at_a_constant_number_of_counts_a_sample(pace: float) -> None:
     """Rounding errors are then equal from sample to sample. Subtracted as if they were white, they
