@@ -33,7 +33,14 @@ from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of, repeated
 from zendsp.diagnosis.decide.other_load import of_load
-from zendsp.diagnosis.decide.outcome import doubted, errors_of, left_at, verdict_of, where_and_when
+from zendsp.diagnosis.decide.outcome import (
+    doubted,
+    errors_of,
+    left_at,
+    of_other_loads,
+    verdict_of,
+    where_and_when,
+)
 from zendsp.diagnosis.decide.propose import experiment_of, propose
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.remember import remembered
@@ -262,6 +269,7 @@ def _with_zeros_given(
         workings=Workings(found.searches, decisions, whole, shown_on, parts.test),
         stopped=bool(stopped),
         doubted=doubted(findings, decisions),
+        loads=of_other_loads(decisions),
     )
 
 

@@ -22,6 +22,7 @@ from zendsp.diagnosis.measure.discrepancy import difference, kept, lacking
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
 from zendsp.diagnosis.search.hypothesis import FineRipple, JointSearch, price
+from zendsp.diagnosis.search.orders import outstanding
 from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
 from zendsp.physics.calibration.handles import Handle
@@ -35,8 +36,6 @@ RIPPLE_BAND = 400.0
 RIPPLE_SHARE = 0.03  # of the fast innovations' energy that a ripple has to explain
 RIPPLE_GAIN = 60.0  # least deviance beyond the price, in the fit and on held-out recordings
 MOST_RIPPLES = 2
-MOST_ORDERS = 4000  # so many orders are looked at, and the PEAKS highest of them are screened
-PEAKS = 8
 
 
 def fine_ripples(train: Data, test: Data, search: JointSearch, jobs: int) -> list[FineRipple]:
@@ -96,30 +95,16 @@ def fine_ripples(train: Data, test: Data, search: JointSearch, jobs: int) -> lis
 
 
 def _peaks(data: Data, model: Model, joint: int, band: float) -> list[float]:
-    """The orders beyond the usual grid at which the missing torque has most energy. Behind a gear a
-    motor's poles pass at any order, not a whole number a turn. Each wave has to span four counts of
-    the position, and one sample at the typical speed.
+    """The orders beyond the usual grid that stand out of the missing torque. Behind a gear a
+    motor's poles pass at any order, not a whole number a turn.
     """
     records = [rec[joint - 1] for rec in data.records]
-    first = records[0]
-    counts, seen = first.measurement.resolution, first.scale.speed * first.sample_time
-    least, most = max(HARMONICS, FASTEST / first.scale.speed), math.pi / (2.0 * max(counts, seen))
-    apart = math.pi / max(float(np.ptp(r.motion.states[0])) for r in records)
-    orders = np.arange(least, most, apart)[:MOST_ORDERS]
-    if first.slides or len(orders) < 3:
-        return []
-    sums = np.zeros(len(orders), complex)
+    series = []
     for record, torque in zip(records, lacking(data, model, joint, band), strict=True):
-        use = kept(record, band)
-        along = record.motion.states[0][use]
-        wave = torque[use] * np.exp(1j * least * along)
-        turn = np.exp(1j * apart * along)
-        for k in range(len(orders)):
-            sums[k] += wave.sum()
-            wave *= turn
-    power = np.abs(sums)
-    top = 1 + np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:]))
-    return [float(orders[k]) for k in sorted(top, key=lambda k: -power[k])[:PEAKS]]
+        use, only = kept(record, band), np.zeros(record.n)
+        only[use] = torque[use]
+        series.append(only)
+    return outstanding(records, series, max(HARMONICS, FASTEST / records[0].scale.speed))
 
 
 def _undisplaced(search: JointSearch) -> Model:

@@ -36,6 +36,7 @@ def verdict_sentence(
     left: Sequence[tuple[int, float]] = (),
     near: Sequence[tuple[str, int]] = (),
     doubted: Sequence[tuple[str, int]] = (),
+    loads: Sequence[int] = (),
 ) -> str:
     """The verdict in one sentence, or two.
 
@@ -51,6 +52,8 @@ def verdict_sentence(
     near, doubted : sequence of (effect, joint)
         The law nearest to an unexplained torque, see ``nearest``; and what only the recordings of
         the fit show, where nothing else is unexplained, see ``contradicted``.
+    loads : sequence of int
+        Unexplained joints whose recordings are each explained by numbers of their own.
 
     Examples
     --------
@@ -83,6 +86,12 @@ def verdict_sentence(
         return (
             f"Cannot tell: the recordings of the fit are by far likelier with {_at(doubted)}, and"
             " the untouched ones do not show it. Hold out motion as fast as theirs."
+        )
+    if loads and verdict == Verdict.UNEXPLAINED:
+        return (
+            f"Unexplained: no one set of numbers describes all recordings of {listed(loads)}, and"
+            " numbers of its own describe each: another load perhaps (notes); no physics is"
+            " claimed."
         )
     if near and verdict == Verdict.UNEXPLAINED:
         return (

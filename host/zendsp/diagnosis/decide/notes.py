@@ -16,9 +16,10 @@ from zendsp.diagnosis.decide.pushes import predicts
 from zendsp.diagnosis.decide.result import Errors
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE, PREDICTED
 from zendsp.diagnosis.measure.bursts import Bursts
+from zendsp.diagnosis.measure.discrepancy import BANDS, as_seen
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.model import TREES, Model, Term
+from zendsp.physics.model import TREES, Model, Term, per_joint
 
 # ratio of errors, calibrated over given, above which calibration is said to make it worse: 3 of 240
 # cases (seed 109) reached it, each with something missing, and none of 99 complete models
@@ -93,12 +94,18 @@ def _felt(decisions: Sequence[Decision], given: Model) -> list[str]:
 def _other_loads(decisions: Sequence[Decision]) -> list[str]:
     """The note of recordings of a machine with another load."""
     return [
-        f"joint {d.joint}: numbers of its own explain {' and '.join(d.loads)}: another load,"
+        f"joint {d.joint}: numbers of its own explain {_each_of(d.loads)}: another load,"
         " another machine, or a law that these numbers stand for there; diagnose each recording by"
         " itself (zendsp diagnose --each)"
         for d in decisions
         if d.loads
     ]
+
+
+def _each_of(names: Sequence[str]) -> str:
+    """A list of recordings in words."""
+    *first, last = names
+    return f"each of {', '.join(first)} and {last}" if first else last
 
 
 def _loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
@@ -179,7 +186,8 @@ def _against_masses(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _all_for_the_load(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """The note that a transmission's error relies on the inertia, where no sensor is on the load.
+    """The note that a transmission's error relies on the inertia, where no sensor is on the load,
+    and nothing says what of it is the motor's: neither rotors nor a load on a spring.
     """
     return [
         f"joint {d.joint}: its transmission_error is measured by what the load resists, and all"
@@ -189,6 +197,7 @@ def _all_for_the_load(decisions: Sequence[Decision], given: Model) -> list[str]:
         for d in decisions
         if any(c.effect == "transmission_error" for c in d.claims)
         and not any(t.effect == "inertia" for t in given.at(d.joint))
+        and not any("load_inertia" in t.parameters for t in d.final.model.at(d.joint))
     ]
 
 
@@ -259,12 +268,12 @@ def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> 
     )
 
 
-def _held(fit: Data, given: Model) -> str:
-    """The note that commands, if any, are taken as held from row to row: the model does not say how
-    long, or the rows are so far apart that the loop may be faster.
+def _held(d: Decision, fit: Data, given: Model) -> str:
+    """The note that commands are taken as held from row to row: the model does not say how long, or
+    the rows are so far apart that the loop may be faster. Only where that may be what is missing.
     """
     hold, records = given.actuator.hold, [r for rec in fit.records for r in rec]
-    if any(r.between for r in records) or not any(np.any(r.command) for r in records):
+    if any(r.between for r in records) or d.after.value * d.scale > _of_a_row(d, fit, given):
         return ""
     if hold is None:
         return (
@@ -277,6 +286,20 @@ def _held(fit: Data, given: Model) -> str:
         " (if the loop is faster than the rows, its [actuator] hold is less than the"
         f" {hold:.4g} s that the model says)"
     )
+
+
+def _of_a_row(d: Decision, fit: Data, given: Model) -> float:
+    """RMS torque at a joint by a command that acts a row sooner or later, as the observer that sees
+    most of it does, N m or N.
+    """
+    gain = per_joint(given.actuator.gain, d.joint, 1.0)
+    records = [rec[d.joint - 1] for rec in fit.records]
+    moved = [gain * np.diff(r.command, prepend=r.command[:1])[None] for r in records]
+    seen = [
+        as_seen(r, d.final.model, BANDS[0], torque)
+        for r, torque in zip(records, moved, strict=True)
+    ]
+    return float(np.sqrt(np.mean(np.concatenate(seen, axis=1) ** 2)))
 
 
 def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
@@ -315,6 +338,11 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
     if d.strap:
         what = f"{_torque(d, d.after.value, given)} stays unexplained"
         return f"Joint {d.joint}: {what}, a part of what pulls at {listed(d.strap)}"
+    if d.loads:
+        return (
+            f"Joint {d.joint}: one set of numbers for all recordings leaves"
+            f" {_torque(d, d.after.value, given)}; numbers of its own explain each of them"
+        )
     if d.state.size > OF_STATE and predicts(d.state):
         return (
             f"Joint {d.joint}: a torque of {_of_state(d, given)}"
@@ -337,16 +365,16 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
     return (
         f"Joint {d.joint}: a torque of {_torque(d, d.after.value, given)} is missing that "
         + (
-            "no function of the joint's state predicts on untouched recordings."
+            "no smooth function of the joint's state predicts on untouched recordings."
             f" {likeness(d.near)}"
             if d.near
-            else "neither a known effect nor any function of the joint's state predicts on"
+            else "neither a known effect nor any smooth function of the joint's state predicts on"
             " untouched recordings"
         )
         + (
             _behind_another(decisions, given, d.joint)
             or _hardly_moves(fit, d.joint)
-            or _held(fit, given)
+            or _held(d, fit, given)
         )
     )
 

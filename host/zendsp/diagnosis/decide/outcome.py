@@ -34,6 +34,12 @@ def doubted(
     return tuple(law for d in decisions for law in d.doubted)
 
 
+def of_other_loads(decisions: Sequence[Decision]) -> tuple[int, ...]:
+    """The unexplained joints, where numbers of its own explain each recording of all of them."""
+    left = [d for d in decisions if d.kind == Verdict.UNEXPLAINED]
+    return tuple(d.joint for d in left) if all(d.loads for d in left) else ()
+
+
 def left_at(decision: Decision) -> Left:
     """The torque that is unexplained at a joint, at most all of it."""
     after = decision.after

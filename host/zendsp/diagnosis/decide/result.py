@@ -225,6 +225,7 @@ class Diagnosis:
     stopped: bool = False  # Ctrl-C ended the search; this is what was found until then
     # effects and joints about which the headline cannot tell
     doubted: tuple[tuple[str, int], ...] = ()
+    loads: tuple[int, ...] = ()  # unexplained joints; numbers of its own explain each recording
     window: float = WINDOW  # s, of the free simulations whose errors these are
     zeros: tuple[str, ...] = ()  # a sentence for each joint that has another zero than given
 
@@ -259,7 +260,7 @@ class Diagnosis:
         unseen = dark((x.joint, x.interval) for x in self.discrepancy)
         table, left = self.test or self.heldout, self.nameless
         near = nearest(self.verdict, self.rejected)
-        text = verdict_sentence(self.verdict, found, unseen, left, near, self.doubted)
+        text = verdict_sentence(self.verdict, found, unseen, left, near, self.doubted, self.loads)
         off = table.given > OFF * table.calibrated
         if self.verdict == Verdict.COMPLETE and not unseen and off:
             times = two_digits(table.given / table.calibrated)

@@ -11,15 +11,24 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.search.orders import outstanding
 from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.fit import Data, Fit, residuals
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.joint import JointRecord, along, effective_inertia, facts
-from zendsp.physics.calibration.observed import damping_along, response, sensed, trace, traces
+from zendsp.physics.calibration.observed import (
+    damping_along,
+    matched,
+    response,
+    sensed,
+    trace,
+    traces,
+)
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.effects.base import Parameter
@@ -275,7 +284,7 @@ class Screen:
         """
         chosen = [p.name for p in effect.parameters if not p.fitted]
         points: dict[tuple[float | None, ...], list[dict[str, float]]] = {}
-        for point in grid_of(effect, self.records[0], self.model):
+        for point in (*grid_of(effect, self.records[0], self.model), *self._beyond(effect)):
             points.setdefault(tuple(point.get(name) for name in chosen), []).append(point)
         best = (
             max(self._at(effect, group), key=lambda found: found[0]) for group in points.values()
@@ -284,6 +293,39 @@ class Screen:
             self._candidate(effect, gain, self._searched_for(effect, values))
             for gain, values in best
         ]
+
+    def _beyond(self, effect: Effect) -> list[dict[str, float]]:
+        """Grid points of a wave over the position beyond its grid, at the ``outstanding`` orders.
+        """
+        if "order" in effect.grid:
+            return [{"order": n} for n in self.orders]
+        if "period" not in effect.grid:
+            return []
+        least, _ = parameter_bounds(effect.name, "period", self.records[0])
+        periods = [2.0 * math.pi / n for n in self.orders]
+        return [{"period": p} for p in periods if p >= least]
+
+    @cached_property
+    def orders(self) -> list[float]:
+        """The orders at which what is left repeats with the position: as a torque, as a friction,
+        or as an error of the position, which takes torque with the square of the speed.
+        """
+        if self.records[0].slides:
+            return []
+        ends = np.cumsum([r.n for r in self.records])[:-1]
+        seen = [
+            free * matched(rec, self.bandwidth, inertia, damping, left)
+            for rec, free, inertia, damping, left in zip(
+                self.records, self.free, self.inertias, self.dampings,
+                np.split(self.left, ends), strict=True,
+            )
+        ]  # fmt: skip
+        found: list[float] = []
+        for way in (np.ones_like, np.sign, np.square):
+            ways = [way(rec.motion.states[1]) for rec in self.records]
+            series = [g * w for g, w in zip(seen, ways, strict=True)]
+            found += outstanding(self.records, series)
+        return list(dict.fromkeys(found))
 
     def _searched_for(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:
         """The values, of a wave with an order within the limits of a search: only a given one may

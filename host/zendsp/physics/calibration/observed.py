@@ -131,3 +131,27 @@ def response(
         p(out),
     )
     return out
+
+
+def matched(
+    record: JointRecord, bandwidth: float, inertia: Array, damping: Array, innovations: Array
+) -> Array:
+    """The series whose product with any torque along the recording is that of the torque's
+    ``response`` with weighted innovations, (n,): one pass in place of a response for each torque.
+    """
+    lib, n = native(), record.n
+    p = lib.doubles
+    k1, k2, w = record.gains(bandwidth)
+    out = np.empty(n)
+    lib.lib.zk_filter_back(
+        n,
+        record.sample_time,
+        p(k1),
+        p(k2),
+        p(w),
+        p(np.ascontiguousarray(inertia)),
+        p(np.ascontiguousarray(damping)),
+        p(np.ascontiguousarray(innovations)),
+        p(out),
+    )
+    return out

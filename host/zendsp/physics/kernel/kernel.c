@@ -315,3 +315,16 @@ void zk_filter(int n, double T, const double *k1, const double *k2, const double
             for (int k = n - lag; k < n; k++) oc[(size_t)c * n + k] = 0;
     }
 }
+/* The transpose of zk_filter for torques, with all rows and neither per nor lag: of innovations
+ * r (n), the series g (n) with sum(g * d) = sum(r * out) for every torque d. */
+void zk_filter_back(int n, double T, const double *k1, const double *k2, const double *w,
+                    const double *inertia, const double *damp, const double *r, double *g) {
+    double q = 0.0, v = 0.0;
+    for (int k = n - 1; k >= 0; k--) {
+        const double light = 1.0 / inertia[k], ex = 1.0 / (1.0 + damp[k] * T * light);
+        const double vn = v + 0.5 * T * q;
+        g[k] = -light * T * ex * vn;
+        v = 0.5 * T * q + ex * vn;
+        if (w[k] > 0) q -= k1[k] * q + k2[k] * v + w[k] * r[k];
+    }
+}

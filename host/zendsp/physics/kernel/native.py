@@ -56,6 +56,8 @@ void zk_sense(const zk_model *M, const double *q, double *out);
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *active,
                const double *inertia, const double *damp, int cols, const void *d, int single, int meas,
                const double *per, int lag, const int *rows, int wanted, double *out);
+void zk_filter_back(int n, double T, const double *k1, const double *k2, const double *w,
+                    const double *inertia, const double *damp, const double *r, double *g);
 void zf_gains(int n, double T, const double *sa, const double *R, double *k1, double *k2, double *w);
 double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
                  double q0, double v0, double *work, double *out, double *var);
