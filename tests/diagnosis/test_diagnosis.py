@@ -225,7 +225,7 @@ def test_what_no_effect_describes_is_unexplained(run: Run) -> None:
 def test_a_torque_that_nothing_predicts_is_reported(run: Run) -> None:
     d = run(Case(reality.Machine(unrest=0.016), [VISCOUS, COULOMB], {}))
     assert d.verdict == "unexplained" and d.findings == ()
-    assert "nor any function of the joint's state" in d.unexplained
+    assert "nor any smooth function of the joint's state" in d.unexplained
 
 
 def test_wrong_term_of_the_given_model_is_replaced(run: Run) -> None:

@@ -426,14 +426,21 @@ def test_a_torque_gain_of_an_arm_says_which_masses_it_relies_on(
     assert len(notes) == told and all("masses of arm.urdf" in note for note in notes)
 
 
-@pytest.mark.parametrize(("effect", "rotors", "told"), [
-    ("transmission_error", 0, 1), ("transmission_error", 1, 0), ("ripple", 0, 0),
+@pytest.mark.parametrize(("effect", "rotors", "load", "told"), [
+    ("transmission_error", 0, 0, 1), ("transmission_error", 1, 0, 0), ("ripple", 0, 0, 0),
+    ("transmission_error", 0, 1, 0),
 ])  # fmt: skip
 def test_a_transmission_error_says_which_inertia_it_relies_on(
-    effect: str, rotors: int, told: int
+    effect: str, rotors: int, load: int, told: int
 ) -> None:
-    """With three tenths of the inertia in the motor, 0.0174 rad were found of 0.0250."""
-    decision: Any = SimpleNamespace(joint=1, claims=(SimpleNamespace(effect=effect),))
+    """With three tenths of the inertia in the motor, 0.0174 rad were found of 0.0250. Where a
+    spring's load_inertia says what is the load's, "all inertia" is not taken for it.
+    """
+    spring = SimpleNamespace(effect="elasticity", parameters={"load_inertia": 0.9})
+    model = SimpleNamespace(at=lambda _: load * [spring])
+    decision: Any = SimpleNamespace(
+        joint=1, claims=(SimpleNamespace(effect=effect),), final=SimpleNamespace(model=model)
+    )
     given: Any = SimpleNamespace(at=lambda _: rotors * [SimpleNamespace(effect="inertia")])
     assert len(_all_for_the_load([decision], given)) == told
 

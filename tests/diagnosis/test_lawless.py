@@ -22,6 +22,7 @@ from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import unknown_chart
+from zendsp.physics.model import Model
 
 Decided = Callable[..., Diagnosis]
 
@@ -92,13 +93,33 @@ def test_joints_that_one_torque_over_their_positions_pulls_are_moved_at_the_same
     assert "record joint 1 again" in said and np.ptp(q[:, 1]) == 0
 
 
+def _lacks(share: float, model: Model) -> Any:
+    """The decision of a joint that lacks a share of its torque."""
+    left = SimpleNamespace(value=share)
+    return SimpleNamespace(joint=1, scale=0.1, after=left, final=SimpleNamespace(model=model))
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.01, True), (0.58, False)])
+def test_the_time_of_a_command_is_asked_for_where_it_may_be_what_is_missing(
+    share: float, said: bool
+) -> None:
+    """A pendulum behind its driven joint took 58 % of that one's torque, and its user was asked how
+    long the loop holds a command; a command a row late makes 1 % of it.
+    """
+    model = model_of(VISCOUS, COULOMB)
+    columns = reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE)
+    words = notes._held(_lacks(share, model), data_of(columns, model), model)
+    assert ("[actuator] hold" in words) is said
+
+
 def test_a_joint_that_nothing_drives_is_not_told_to_follow_a_reference() -> None:
     """A free pendulum was to follow a multisine, and its model to say how long a loop holds."""
     model = model_of(VISCOUS, COULOMB)
     columns = reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE)
     fit = data_of(columns, model)
     free: Any = SimpleNamespace(records=[[replace(fit.records[0][0], command=0.0 * columns["u"])]])
-    assert "[actuator] hold" in notes._held(fit, model) and notes._held(free, model) == ""
+    assert "[actuator] hold" in notes._held(_lacks(0.01, model), fit, model)
+    assert notes._held(_lacks(0.01, model), free, model) == ""
     signals: Any = SimpleNamespace(command=np.zeros((10, 1)))
     search: Any = SimpleNamespace(final=SimpleNamespace(data=fit))
     found: Any = [SimpleNamespace(effect="unknown", joint=1, mechanism="dry_friction")]

@@ -14,6 +14,9 @@ from reality import KNOWN
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import other_load, pushes
+from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.headline import verdict_sentence
+from zendsp.diagnosis.decide.outcome import of_other_loads
 
 Decided = Callable[..., Diagnosis]
 pytestmark = pytest.mark.usefixtures("sizes_unasked")
@@ -30,6 +33,23 @@ def test_a_recording_with_another_load_is_said_to_be_one(decided: Decided) -> No
     d = decided(reality.Machine(), reality.Machine(coulomb=0.042))
     assert d.verdict == "unexplained" and not d.findings
     assert any("numbers of its own explain" in note for note in d.notes)
+    assert "numbers of its own describe each" in d.headline
+    assert "numbers of its own explain each" in d.unexplained
+
+
+@pytest.mark.parametrize(("loads", "told"), [((("a",), ("b",)), (1, 2)), ((("a",), ()), ())])
+def test_the_headline_speaks_of_other_loads_where_they_explain_all_that_is_unexplained(
+    loads: tuple[tuple[str, ...], ...], told: tuple[int, ...]
+) -> None:
+    """Of two trainings with two loads it said that no known effect describes the difference."""
+    decisions: Any = [
+        SimpleNamespace(joint=j, kind=Verdict.UNEXPLAINED, loads=names)
+        for j, names in enumerate(loads, 1)
+    ]
+    decisions.append(SimpleNamespace(joint=3, kind=Verdict.COMPLETE, loads=()))
+    assert of_other_loads(decisions) == told
+    said = verdict_sentence(Verdict.UNEXPLAINED, [], loads=told)
+    assert ("another load perhaps" in said) is bool(told)
 
 
 @pytest.mark.parametrize("inertia", [0.014, 0.0107, 0.008])

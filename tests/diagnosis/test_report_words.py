@@ -211,7 +211,7 @@ def test_a_friction_that_is_not_surely_dry_is_not_called_so(
     [
         (Structure(0.05, 0.8, 6.0, 9.0), "2.5 N m RMS (5 % of the torque) depends on the state of"),
         (Structure(0.05, 0.35, 2.7, 5.4), "of which functions of the joint's state predict 35 %"),
-        (Structure(0.05, 0.31, 2.0, 4.4), "nor any function of the joint's state predicts"),
+        (Structure(0.05, 0.31, 2.0, 4.4), "nor any smooth function of the joint's state predicts"),
     ],
 )
 def test_a_torque_over_time_alone_is_not_said_to_depend_on_the_state(
@@ -221,7 +221,7 @@ def test_a_torque_over_time_alone_is_not_said_to_depend_on_the_state(
     for also in ("_behind_another", "_hardly_moves", "_held"):
         monkeypatch.setattr(notes, also, lambda *_: "")
     left: Any = SimpleNamespace(
-        joint=1, kind=Verdict.UNEXPLAINED, searched=True, doubted=(), strap=(), near=None,
+        joint=1, kind=Verdict.UNEXPLAINED, searched=True, doubted=(), strap=(), near=None, loads=(),
         scale=50.0, state=state, after=Size(0.08, 0.07, 0.1),
     )  # fmt: skip
     given: Any = SimpleNamespace(torque_unit=lambda _: "N m")
