@@ -76,6 +76,7 @@ class Arm:
     spring: float = 0.0  # N m/rad between the last motor, where its sensor is, and its link
     held: int = 0  # joint (1-based) that its brake holds
     strap: float = 0.0  # N/m, from the base to the forearm, slack below a quarter of a metre
+    balancer: float = 0.0  # N/m, of a spring that lifts the upper arm, in no file
 
 
 def pulled(arm: Arm, model: Any, data: Any, q: np.ndarray) -> np.ndarray:
@@ -89,6 +90,12 @@ def pulled(arm: Arm, model: Any, data: Any, q: np.ndarray) -> np.ndarray:
     long = float(np.linalg.norm(away))
     pull = -arm.strap * max(long - 0.25, 0.0) / long * away @ there.rotation
     return np.concatenate([pull, ACROSS_TIED @ pull]) @ jacobian
+
+
+def lifted(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Torques of the balancer, N m: from 0.3 m above joint 2 to 0.1 m along the upper arm."""
+    long = float(np.sqrt(0.1 + 0.06 * np.sin(q[1])))
+    return np.array([0.0, -arm.balancer * (long - 0.2) / long * 0.03 * np.cos(q[1]), 0.0])
 
 
 def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]:
@@ -139,7 +146,7 @@ def _simulated(arm: Arm, seed: int, seconds: float) -> np.ndarray:
         last = y
         rows.append([t, *y, *u])
         for _ in range(SUB):
-            pull = pulled(arm, true, data, q) if arm.strap else 0.0
+            pull = pulled(arm, true, data, q) if arm.strap else lifted(arm, q)
             moving = np.array([v[0], v[1], turns]) if arm.spring else v
             free = gain * u + pull - FRICTION * np.tanh(moving / 0.005) - DAMPING * moving
             if arm.spring:

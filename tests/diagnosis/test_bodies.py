@@ -209,6 +209,19 @@ def test_a_larger_fault_of_one_joint_does_not_hide_a_body(record) -> None:  # ty
     assert found.term.value("angle_x") == pytest.approx(np.deg2rad(0.5), rel=0.1)
 
 
+def test_a_body_that_a_gain_imitates_is_kept_beside_a_larger_fault_of_the_joint_before(record) -> None:  # type: ignore[no-untyped-def]  # noqa: E501
+    """A balancer is no curve of the search's: it left so much that the gain predicted better by 7
+    standard deviations.
+    """
+    heavier = Arm(mass=0.24, com=(0.15, 0.01, 0.0), round=0.0018, balancer=600.0, held=1)
+    search = searched(record("balanced", heavier, True))
+    assert search.found == () and search.aside == {2, 3}
+    ((body, joint),) = search.instead
+    assert (body.term.effect, body.term.joint, joint) == ("body", 3, 3) and body.aside == {2}
+    assert "torque_gain of joint 3" in body.indistinguishable
+    assert body.term.value("mass") == pytest.approx(0.24, rel=0.02)
+
+
 @pytest.mark.long("a wrong link and a late column are each found by quicker tests")
 def test_a_wrong_link_is_found_beside_a_command_column_that_is_late(record,
     tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

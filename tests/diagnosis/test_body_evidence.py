@@ -14,11 +14,11 @@ from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide_bodies import Heard, borne
 from zendsp.diagnosis.explain import joints, machine
 from zendsp.diagnosis.search import bodies
-from zendsp.diagnosis.search.bodies import FoundBody, own_mass
+from zendsp.diagnosis.search.bodies import FoundBody
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
 from zendsp.diagnosis.search.body_hypotheses import COST, LIMITS, Hypothesis
-from zendsp.diagnosis.search.body_numbers import unsure, weightless
+from zendsp.diagnosis.search.body_numbers import own_mass, unsure, weightless
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.model import Term
 
@@ -378,7 +378,7 @@ def test_a_small_body_is_asked_for_where_joints_claim_what_it_may_be(
     }
     found: Any = SimpleNamespace(claims=(), decisions=[joints[c] for c in (*claims, "none")])
     small: Any = object()
-    search: Any = SimpleNamespace(instead=None, small=small, found=(object(),) * proposed)
+    search: Any = SimpleNamespace(instead=(), small=small, found=(object(),) * proposed)
     asked = machine._for_the_joints(search, found)
     assert (asked is small) is asks
     found.claims = (object(),)  # a body is claimed already

@@ -13,6 +13,7 @@ from made_claims import claim_of
 from zendsp.diagnosis.decide import beside_bodies as beside
 from zendsp.diagnosis.decide import decide_bodies, naming
 from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim
 from zendsp.diagnosis.decide.moved import bodies_wrong
 from zendsp.diagnosis.explain import machine
@@ -185,9 +186,9 @@ def test_a_body_that_explains_as_much_as_a_joints_own_fault_is_remembered(
     monkeypatch.setattr(bodies, "Solver", lambda *_, **__: None)
     monkeypatch.setattr(bodies, "explain", lambda *_: next(rounds))
     layout: Any = SimpleNamespace(model=None, links=None)
-    _, aside, first = bodies._round(None, None, layout, LIMITS)  # type: ignore[arg-type]
-    assert aside == {2}
-    assert any(bodies._is_body(e, first[0], LIMITS) for e in first) is remembered
+    _, aside, (turn,) = bodies._round(None, None, layout, LIMITS)  # type: ignore[arg-type]
+    assert aside == {2} and (turn.joint, turn.before) == (2, frozenset())
+    assert (turn.body(LIMITS) is body) is remembered
 
 
 @pytest.mark.parametrize(("place", "remembered"), [(1e-4, False), (0.2, True)])
@@ -209,8 +210,8 @@ def test_a_body_at_its_joints_axis_is_no_more_than_an_inertia_of_the_joint_befor
     monkeypatch.setattr(bodies, "Solver", lambda *_, **__: None)
     monkeypatch.setattr(bodies, "explain", lambda *_: next(rounds))
     layout: Any = SimpleNamespace(model=None, links=None)
-    _, aside, first = bodies._round(None, None, layout, LIMITS)  # type: ignore[arg-type]
-    assert aside == {1} and bool(first) is remembered
+    _, aside, (turn,) = bodies._round(None, None, layout, LIMITS)  # type: ignore[arg-type]
+    assert aside == {1} and (turn.body(LIMITS) is load) is remembered
 
 
 @pytest.mark.parametrize(
@@ -234,6 +235,75 @@ def test_a_joints_claim_may_be_the_weight_of_a_body(
     assert not machine._weighs(SimpleNamespace(claims=()))  # type: ignore[arg-type]
     nameless = replace(claim, effect="unknown", mechanism="dry", term=Term("unknown", 2, {}))
     assert not machine._weighs(SimpleNamespace(claims=(nameless,)))  # type: ignore[arg-type]
+
+
+def claim(effect: str, mechanism: str, size: float) -> Claim:
+    nothing: Any = None
+    return Claim(effect, mechanism, Term(effect, 2, {}), size, nothing, 0.0, {}, (), (), ())
+
+
+GAIN, ENCODER = claim("torque_gain", "actuator", 0.09), claim("unknown", "measurement", 0.03)
+
+
+def says(joint: int, *claims: Claim) -> Any:
+    """A joint that lacks torque, without a name where it claims nothing."""
+    kind = Verdict.MISSING if claims else Verdict.UNEXPLAINED
+    return SimpleNamespace(joint=joint, claims=claims, kind=kind)
+
+
+@pytest.mark.parametrize(
+    ("joints", "asked"),
+    [
+        ([says(1), says(2, GAIN, ENCODER)], "forearm"),
+        ([says(1), says(2, GAIN, replace(ENCODER, size=0.2))], None),
+        ([says(1, GAIN), says(2)], "upper"),
+        ([says(1, ENCODER), says(2)], "forearm"),
+    ],
+)
+def test_a_body_is_asked_for_by_a_joints_largest_claim_or_where_it_has_none(
+    joints: list[Any], asked: str | None
+) -> None:
+    """A forearm 12 % heavier was a gain (97 %) and an eccentric encoder, beside a balancer that
+    left a quarter of the other joint's torque without a name.
+    """
+    found: Any = SimpleNamespace(claims=(), decisions=joints)
+    instead = (("upper", 1), ("forearm", 2)) if joints[0].claims else (("forearm", 2),)
+    search: Any = SimpleNamespace(instead=instead, small=None, found=())
+    assert machine._for_the_joints(search, found) == asked
+
+
+@pytest.mark.parametrize(
+    ("claims", "error", "plainer", "stands"),
+    [
+        ((GAIN,), 1.0, False, True),
+        ((GAIN,), 80.0, False, False),
+        ((GAIN, ENCODER), 1.0, True, True),
+        ((GAIN, ENCODER), 1.0, False, False),
+    ],
+)
+def test_a_body_in_place_of_joints_claims_predicts_as_well_as_these(
+    claims: tuple[Claim, ...],
+    error: float,
+    plainer: bool,
+    stands: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A gain of 0.9 beside a balancer was a payload (61 %), with 80 times the error."""
+    monkeypatch.setattr(machine, "plainer", lambda *_: plainer)
+    monkeypatch.setattr(machine, "model_error", lambda _, improved: improved)
+    monkeypatch.setattr(machine, "noise_floor", lambda _: 0.1)
+    given: Any = None
+
+    def found(improved: float, claims: tuple[Any, ...], *decisions: Any) -> Any:
+        bare, whole = SimpleNamespace(test=None), SimpleNamespace(improved=improved)
+        return SimpleNamespace(
+            bare=bare, whole=whole, claims=claims, decisions=decisions, explained=None
+        )
+
+    joints = found(1.0, (), says(1), says(2, *claims), says(3, ENCODER))
+    body = SimpleNamespace(sizes={1: 0.1, 2: 0.2})
+    assert machine._replaces(found(error, (body,)), joints, given) is stands
+    assert not machine._replaces(found(error, ()), joints, given)
 
 
 @pytest.mark.parametrize(
@@ -319,17 +389,24 @@ def test_a_gain_that_a_body_explains_as_well_is_the_less_sure(
     monkeypatch.setattr(decide_bodies, "tied", lambda e, top: e.gain > 0.9 * top.gain)
     nothing: Any = None
 
-    def left(body: float, effect: str = "torque_gain", mechanism: str = "actuator") -> Claim:
+    def left(
+        body: float, effect: str = "torque_gain", mechanism: str = "actuator", gap: str = ""
+    ) -> Claim:
         of_bodies = [tried("body", 2, body, True), tried("payload", 2, 50.0, True)]
         own = [tried("torque_gain", 0, 900.0, False), tried("unknown", 2, 900.0, False)]
-        search: Any = SimpleNamespace(tried=[*of_bodies, *own])
+        forearm = SimpleNamespace(term=Term("body", 2, {}))
+        search: Any = SimpleNamespace(tried=[*of_bodies, *own], instead=((forearm, 2),))
         term = Term(effect, 2, {})
         claim = Claim(effect, mechanism, term, 0.1, nothing, 0.0, {}, (), (), ())
-        decision = Decision(2, "missing", (claim,), (), *[nothing] * 8)
-        return decide_bodies.or_bodies(search, [decision])[0].claims[0]
+        decision = Decision(2, Verdict.MISSING, (claim,), (), *[nothing] * 8)
+        other = replace(decision, joint=1, kind=Verdict(gap or "missing"))
+        return decide_bodies.or_bodies(search, [decision, other])[0].claims[0]
 
     assert (left(850.0).same, left(850.0).most) == (("body",), 0.75)
     assert (left(500.0).same, left(500.0).most) == ((), 1.0)
+    # judged beside a joint that lacks torque without a name
+    assert left(500.0, gap="unexplained").same == ("body",)
+    assert left(500.0, "delay", gap="unexplained").same == ()
     assert left(850.0, "delay").same == ()
     assert left(850.0, "unknown", "position_torque").same == ("body",)
     assert left(850.0, "unknown", "dry_friction").same == ()

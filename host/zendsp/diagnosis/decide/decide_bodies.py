@@ -19,7 +19,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, needed, shared
 from zendsp.diagnosis.decide.confidence import sure_by
-from zendsp.diagnosis.decide.contract import Further, Rejected
+from zendsp.diagnosis.decide.contract import Further, Rejected, Verdict
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number, percent
 from zendsp.diagnosis.decide.pieces import log_e_value
 from zendsp.diagnosis.decide.thresholds import PLAIN
@@ -196,8 +196,12 @@ def like_bodies() -> frozenset[str]:
 
 def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decision]:
     """The decisions where no body is claimed. A joint's claim that resembles a body is less sure
-    where a body explains all joints together as well as this effect does.
+    where a body explains all joints together as well as this effect does; also where a body
+    explained as much as the joint's own fault, and another joint lacks torque without a name,
+    beside which neither can be judged.
     """
+    gaps = {d.joint for d in decisions if d.kind == Verdict.UNEXPLAINED}
+    asked = {joint: body for body, joint in search.instead if gaps - {joint}}
 
     def told(c: Claim, joint: int) -> Claim:
         nameless = c.effect == "unknown" and c.mechanism == "position_torque"
@@ -209,6 +213,8 @@ def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decisio
         names = dict.fromkeys(
             e.hypothesis.effect for e in bodies if own and all(tied(e, o) for o in own)
         )
+        if joint in asked:
+            names[asked[joint].term.effect] = None
         most = min(c.most, shared(len(names)))
         return replace(c, same=tuple(dict.fromkeys((*c.same, *names))), most=most)
 

@@ -11,8 +11,8 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.across import across_joints, friction_beside, may_be_strapped, timing
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.beside_bodies import beside_bodies
-from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.contract import BEYOND, Verdict
 from zendsp.diagnosis.decide.decide_bodies import (
     BodyClaim,
     as_free_as,
@@ -41,7 +41,7 @@ from zendsp.diagnosis.explain.linked import with_their_links
 from zendsp.diagnosis.explain.one_joint import decided_again, upon_ripples, with_fine_ripples
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
-from zendsp.diagnosis.measure.windows import model_error
+from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, find_bodies
 from zendsp.diagnosis.search.body_columns import Layout
@@ -144,7 +144,7 @@ def _settled_once(
     own = _for_the_joints(bodies, found)
     if own is not None:
         again = _beneath(bodies.taken(own), measured_motion, parts, given, jobs, tell, without)
-        found = again if again.claims else found
+        found = again if _replaces(again, found, given) else found
     finished = _finished(found, given, jobs, tell)
     if finished.claims and _predicts_worse(finished, given):
         none = replace(bodies, model=given, found=())
@@ -171,22 +171,52 @@ def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
     """
     if found.claims:
         return None
-    if bodies.instead and _weighs(found.decisions[bodies.instead[1] - 1]):
-        return bodies.instead[0]
+    for body, joint in bodies.instead:
+        if _may_weigh(found.decisions[joint - 1]):
+            return body
     claimed = sum(_weighs(d) for d in found.decisions)
     unnamed = sum(d.kind == Verdict.UNEXPLAINED for d in found.decisions)
     several = claimed > 0 and claimed + unnamed > 1
     return bodies.small if several and not bodies.found else None
 
 
+def _replaces(body: Found, joints: Found, given: Model) -> bool:
+    """Whether a claimed body stands in place of what the joints that bear it claim: it predicts as
+    well, or as well as the sensor lets anyone judge; and beside claims that are no torque of a body
+    there are fewer findings.
+
+    A body that explains as much as a joint's fault need not be what the joint before it lacks: a
+    gain of 0.9 beside a balancer was a payload, with which 20 % stayed unexplained there.
+    """
+    if not body.claims:
+        return False
+    test, bear = joints.bare.test, {joint for c in body.claims for joint in c.sizes}
+    if any(d.claims and d.joint in bear and not _weighs(d) for d in joints.decisions):
+        more = 1 - len(body.claims)
+        return plainer(test, given, body.explained, joints.explained, more)
+    errors = [model_error(test, f.whole.improved) for f in (body, joints)]
+    return errors[0] <= max((1.0 + AS_GOOD) * errors[1], BEYOND * noise_floor(test))
+
+
+def _may_weigh(decision: Decision) -> bool:
+    """Whether the largest claim of a joint may be the torque of a body, or the joint lacks torque
+    that no claim explains. What else it claims may be what such a law leaves of the body: a forearm
+    12 % heavier was a gain, and beside it an eccentric encoder.
+    """
+    if not decision.claims:
+        return decision.kind == Verdict.UNEXPLAINED
+    return _of_a_body(max(decision.claims, key=lambda c: c.size))
+
+
 def _weighs(decision: Decision) -> bool:
     """Whether all claims of a joint may be the torque of a body."""
-    return bool(decision.claims) and all(
-        c.mechanism in ("position_torque", "inertia")
-        or c.is_constant
-        or c.term.effect in like_bodies()
-        for c in decision.claims
-    )
+    return bool(decision.claims) and all(_of_a_body(c) for c in decision.claims)
+
+
+def _of_a_body(claim: Claim) -> bool:
+    """Whether a claim of a joint may be the torque of a body."""
+    inert = claim.mechanism in ("position_torque", "inertia")
+    return inert or claim.is_constant or claim.term.effect in like_bodies()
 
 
 def _lacks_less(felt: Parts, bare: Parts, model: Model) -> bool:

@@ -29,6 +29,7 @@ from zendsp.diagnosis.search.body_hypotheses import (
     hypotheses,
 )
 from zendsp.diagnosis.search.body_numbers import (
+    own_mass,
     refined,
     stated,
     unsure,
@@ -40,7 +41,6 @@ from zendsp.diagnosis.search.joint_zeros import check_zero
 from zendsp.diagnosis.search.straps import Strap, strap_in_place_of
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model, Term
-from zendsp.physics.robots.bodies import Links
 
 Array = npt.NDArray[np.float64]
 
@@ -78,22 +78,39 @@ class FoundBody:
 
 
 @dataclass(frozen=True)
+class SetAside:
+    """A joint (1-based) that is set aside for a fault of its own, with all explanations at that
+    moment, the best first: those beside the joints ``before`` it, which were aside already. Empty
+    where no body was seen.
+    """
+
+    joint: int
+    before: frozenset[int]
+    tried: Sequence[Explained]
+
+    def body(self, limits: BodyLimits) -> Explained | None:
+        """The body that explains as much as the fault."""
+        return next((e for e in self.tried if _is_body(e, self.tried[0], limits)), None)
+
+
+@dataclass(frozen=True)
 class BodySearch:
     """The proposed bodies of a machine.
 
     ``model``: the given one with them. ``tried``: all explanations of the last round. ``aside``:
-    joints set aside for a fault of their own. ``instead``: the body that explains as much as the
-    first of these faults, and that joint. ``small``: the best body that is not proposed, being too
-    small a part of the torque or of what the joints leave, or as uncertain as the gains of all
-    drives. ``beside``: whether a body was seen at several joints before the first joint was set
-    aside. ``strap``: a force between links, which predicts better than the body that came next.
+    joints set aside for a fault of their own. ``instead``: bodies that explain as much as such a
+    fault, each with that joint, in the order in which they were set aside. ``small``: the best body
+    that is not proposed, being too small a part of the torque or of what the joints leave, or as
+    uncertain as the gains of all drives. ``beside``: whether a body was seen at several joints
+    before the first joint was set aside. ``strap``: a force between links, which predicts better
+    than the body that came next.
     """
 
     model: Model
     found: tuple[FoundBody, ...] = ()
     tried: tuple[Explained, ...] = ()
     aside: frozenset[int] = frozenset()
-    instead: tuple[FoundBody, int] | None = None
+    instead: tuple[tuple[FoundBody, int], ...] = ()
     small: FoundBody | None = None
     beside: bool = False
     strap: Strap | None = None
@@ -208,29 +225,26 @@ def _searched(
     found: list[FoundBody] = []
     tried: list[Explained] = []
     aside: frozenset[int] = frozenset()
-    instead: tuple[FoundBody, int] | None = None
+    instead: tuple[tuple[FoundBody, int], ...] = ()
     small: FoundBody | None = None
     strap: Strap | None = None
     seen_first = False
     while len(found) < limits.bodies:
         layout = Layout(model, links)
-        tried, aside, first = _explained(fit, choose, layout, limits, jobs, tell)
+        tried, aside, turns = _explained(fit, choose, layout, limits, jobs, tell)
         best = tried[0]
         check_zero(choose, model, best, limits)
-        seen_first = seen_first or any(_at_several(e, limits) for e in first)
-        own = next((e for e in first if _is_body(e, first[0], limits)), None)
+        seen_first = seen_first or any(_at_several(e, limits) for t in turns[:1] for e in t.tried)
+        like = [] if found else [t for t in turns if t.body(limits) is not None]
         proposed = seen(best, limits) or clear(best, limits)
-        one = own if not found and own is not None else best
-        if one.hypothesis.of_bodies and (one is own or proposed or _carried(best, limits)):
-            around = frozenset() if one is own else aside
+        one, around = (like[0].body(limits), like[0].before) if like else (best, aside)
+        assert one is not None
+        if one.hypothesis.of_bodies and (like or proposed or _carried(best, limits)):
             strap = strap_in_place_of([one.hypothesis], (fit, choose), layout, limits, jobs, around)
             if strap is not None:
                 break
-        if not found and own is not None:
-            own = refined(fit, choose, layout, own_mass(own, first, links, limits), limits, jobs)
-            if not weightless(own, limits):
-                body = _stated(layout, own, first, limits, frozenset())
-                instead = body, first[0].hypothesis.joint
+        if not found:
+            instead = _in_place_of(like, fit, choose, layout, limits, jobs)
         if not found and not proposed and _carried(best, limits):
             own = refined(fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs)
             small = None if unsure(own, limits) else _stated(layout, own, tried, limits, aside)
@@ -257,7 +271,7 @@ def _searched(
 
 def _explained(
     fit: Data, choose: Data, layout: Layout, limits: BodyLimits, jobs: int, tell: Progress
-) -> tuple[list[Explained], frozenset[int], list[Explained]]:
+) -> tuple[list[Explained], frozenset[int], list[SetAside]]:
     """The explanations of the recordings, as ``_round`` gives them."""
     model = layout.model
     tell(
@@ -269,12 +283,32 @@ def _explained(
     tell(Step.CALIBRATING.says("bodies: what the recordings to choose by say"))
     to_choose = Sums(choose, model, limits, jobs)
     tell(Step.CALIBRATING.says("bodies: every hypothesis"))
-    tried, aside, first = _round(to_fit, to_choose, layout, limits)
+    tried, aside, turned = _round(to_fit, to_choose, layout, limits)
     if turns := {e.hypothesis.joint: float(e.values[0]) for e in tried if _is_zero(e, limits)}:
         # at their estimated size, as the torque of another zero is not linear in its angle
         to_fit, to_choose = (Sums(x, model, limits, jobs, turns) for x in (fit, choose))
         return _round(to_fit, to_choose, layout, limits)
-    return tried, aside, first
+    return tried, aside, turned
+
+
+def _in_place_of(
+    like: Sequence[SetAside],
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    limits: BodyLimits,
+    jobs: int,
+) -> tuple[tuple[FoundBody, int], ...]:
+    """Bodies that explain as much as faults of joints, each with that joint."""
+    out = []
+    for turn in like:
+        own = turn.body(limits)
+        assert own is not None
+        own = own_mass(own, turn.tried, layout.links, limits)
+        own = refined(fit, choose, layout, own, limits, jobs, turn.before)
+        if not weightless(own, limits):
+            out.append((_stated(layout, own, turn.tried, limits, turn.before), turn.joint))
+    return tuple(out)
 
 
 def _with_numbers(
@@ -366,13 +400,13 @@ def _carried(one: Explained, limits: BodyLimits) -> bool:
 
 def _round(
     fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
-) -> tuple[list[Explained], frozenset[int], list[Explained]]:
+) -> tuple[list[Explained], frozenset[int], list[SetAside]]:
     """All explanations, the best first, with joints set aside that have a larger fault of their
-    own; and the explanations before the first joint was set aside, where a body was seen.
+    own, each with what was said when it was.
     """
     everything = hypotheses(layout.model, layout.links)
     aside: set[int] = set()
-    first: list[Explained] = []
+    turns: list[SetAside] = []
     while True:
         solver = Solver(fit, choose, layout, limits, aside=aside)
         rigid = Solver(fit, choose, layout, limits, aside=aside, rotors=False)
@@ -381,13 +415,13 @@ def _round(
         best = tried[0]
         own = best.hypothesis.joint and best.hypothesis.effect != "zero"
         if best.hypothesis.of_bodies or not own or not seen(best, limits):
-            return tried, frozenset(aside), first
+            return tried, frozenset(aside), turns
         bodies = [e for e in tried if e.hypothesis.of_bodies and seen(e, limits)]
         if best.hypothesis.effect == "inertia":
             bodies = [e for e in bodies if not _on_its_axis(e, limits)]
-        if not aside and bodies:
-            first = tried
-        aside.add(best.hypothesis.joint)
+        joint = best.hypothesis.joint
+        turns.append(SetAside(joint, frozenset(aside), tried if bodies else []))
+        aside.add(joint)
 
 
 def _on_its_axis(one: Explained, limits: BodyLimits) -> bool:
@@ -397,41 +431,3 @@ def _on_its_axis(one: Explained, limits: BodyLimits) -> bool:
     centre = [key in COM for key in one.hypothesis.free]
     away, unsure = one.values[centre], limits.shown * one.std[centre]
     return float(np.linalg.norm(away)) < limits.same or bool(np.all(np.abs(away) < unsure))
-
-
-def own_mass(
-    best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
-) -> Explained:
-    """The explanation in the fewest numbers of the link: a wrong mass, where the body lies at the
-    link's centre of mass within its uncertainty; a wrong centre of mass, where the mass may be
-    right; a payload, where the link would be too heavy for an error of the file.
-    """
-    h = best.hypothesis
-    if h.effect == "body" and "mass" in h.free:
-        most = limits.own_mass * links.bodies[h.joint - 1].mass
-        alike = (e for e in tried if tied(e, tried[0], limits) and e.hypothesis.joint == h.joint)
-        if best.values[0] > most:
-            return next((e for e in alike if e.hypothesis.effect == "payload"), best)
-    if "mass" not in h.free or h.free == ("mass",):
-        return best
-    if h.effect == "body" and abs(best.values[0]) < limits.shown * best.std[0]:
-        centre = replace(h, free=h.free[1:], cost=h.cost - 1.0)
-        return next((e for e in tried if e.hypothesis == centre and seen(e, limits)), best)
-    body = links.bodies[h.joint - 1]
-    known = dict(zip(h.free, best.values.tolist(), strict=True))
-    mass, com = known["mass"], np.array([known.get(key, 0.0) for key in COM])
-    moment = (body.mass + mass) / (mass or 1e-12)
-    away = com - body.com if h.effect == "payload" else com * moment
-    spread = dict(zip(h.free, best.std.tolist(), strict=True))
-    blur = np.array([spread.get(key, np.inf) for key in COM])
-    blur *= 1.0 if h.effect == "payload" else abs(moment)
-    there = float(np.linalg.norm(away)) <= limits.same or np.all(np.abs(away) < limits.shown * blur)
-    if abs(mass) > limits.own_mass * body.mass or not there:
-        return best
-    plain = [
-        e
-        for e in tried
-        if (e.hypothesis.effect, e.hypothesis.joint, e.hypothesis.free)
-        == ("body", h.joint, ("mass",))
-    ]
-    return plain[0] if plain else best

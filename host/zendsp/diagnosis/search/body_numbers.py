@@ -1,18 +1,18 @@
-"""The numbers of a body: estimated again around the last estimate until they converge; how well
-they are known; and how much of the torque they explain.
+"""The numbers of a body: the fewest that tell it; estimated again around the last estimate until
+they converge; how well they are known; and how much of the torque they explain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.search.body_columns import Layout, Sums
-from zendsp.diagnosis.search.body_explain import Explained
-from zendsp.diagnosis.search.body_hypotheses import LIMITS, BodyLimits, Hypothesis
+from zendsp.diagnosis.search.body_explain import Explained, seen, tied
+from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
@@ -20,6 +20,44 @@ from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
 
 Array = npt.NDArray[np.float64]
+
+
+def own_mass(
+    best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
+) -> Explained:
+    """The explanation in the fewest numbers of the link: a wrong mass, where the body lies at the
+    link's centre of mass within its uncertainty; a wrong centre of mass, where the mass may be
+    right; a payload, where the link would be too heavy for an error of the file.
+    """
+    h = best.hypothesis
+    if h.effect == "body" and "mass" in h.free:
+        most = limits.own_mass * links.bodies[h.joint - 1].mass
+        alike = (e for e in tried if tied(e, tried[0], limits) and e.hypothesis.joint == h.joint)
+        if best.values[0] > most:
+            return next((e for e in alike if e.hypothesis.effect == "payload"), best)
+    if "mass" not in h.free or h.free == ("mass",):
+        return best
+    if h.effect == "body" and abs(best.values[0]) < limits.shown * best.std[0]:
+        centre = replace(h, free=h.free[1:], cost=h.cost - 1.0)
+        return next((e for e in tried if e.hypothesis == centre and seen(e, limits)), best)
+    body = links.bodies[h.joint - 1]
+    known = dict(zip(h.free, best.values.tolist(), strict=True))
+    mass, com = known["mass"], np.array([known.get(key, 0.0) for key in COM])
+    moment = (body.mass + mass) / (mass or 1e-12)
+    away = com - body.com if h.effect == "payload" else com * moment
+    spread = dict(zip(h.free, best.std.tolist(), strict=True))
+    blur = np.array([spread.get(key, np.inf) for key in COM])
+    blur *= 1.0 if h.effect == "payload" else abs(moment)
+    there = float(np.linalg.norm(away)) <= limits.same or np.all(np.abs(away) < limits.shown * blur)
+    if abs(mass) > limits.own_mass * body.mass or not there:
+        return best
+    plain = [
+        e
+        for e in tried
+        if (e.hypothesis.effect, e.hypothesis.joint, e.hypothesis.free)
+        == ("body", h.joint, ("mass",))
+    ]
+    return plain[0] if plain else best
 
 
 def refined(
