@@ -178,6 +178,25 @@ def test_a_joint_beyond_its_limit_trips_and_can_be_brought_back(make_runtime: Ma
     assert tripped(runtime).trip is not None  # and the limit holds again
 
 
+def test_a_program_that_goes_on_outward_gets_no_further_by_acknowledging(
+    make_runtime: Make,
+) -> None:
+    """A joint that drifted outward stood 25 mrad farther out after each acknowledgement."""
+    runtime = make_runtime(CONSTANT, machine_config={"q1": 0.4})
+    runtime.wait_applied(runtime.set_limits("test", position_max=[0.5, 2.0]), 10.0)
+    limits = []
+    for _ in range(4):
+        record(runtime, 400, {0: {"u": [1000.0, 0.0]}})
+        trip = tripped(runtime).trip
+        assert trip is not None and (trip.reason, trip.joint) == ("position", 1)
+        limits.append(trip.limit)
+        runtime.acknowledge()
+    assert limits[0] == 0.5 and 0.52 < limits[1] < 0.53
+    assert limits[3] < limits[1] + 0.01, limits  # by what it takes to stop
+    rows = record(runtime, 500, {0: {"u": [-1500.0, 0.0]}})
+    assert runtime.status().trip is None and rows[-1, 4] < rows[0, 4] - 100, "but back"
+
+
 @pytest.mark.parametrize("runs", [False, True])
 def test_a_limit_moved_to_this_side_of_a_joint_lets_it_no_further_out(
     make_runtime: Make, runs: bool

@@ -59,15 +59,20 @@ void safety_reset(runner *r) {
 }
 
 /* A joint outside its limits, since it was stopped there or they were moved, may be brought back:
- * until it is inside, it may not go further out. */
+ * until it is inside, it may not go further out. Room for the soft start is given once: a program
+ * that goes on outward would have it at each acknowledgement anew. */
 static void widen(runner *r, int j) {
-    const double margin = 0.02; /* rad: room for the soft start */
+    const double margin = 0.02, noise = 1e-3; /* rad: room for the soft start, for the encoder */
+    runner_state *s = &r->state;
     const double q = position_of(r, j);
     const double least = r->set.position_min[j], most = r->set.position_max[j];
-    r->state.lowest[j] = q < least ? q - margin : least;
-    r->state.highest[j] = q > most ? q + margin : most;
-    r->state.least_seen[j] = least;
-    r->state.most_seen[j] = most;
+    const bool below = s->lowest[j] < least && least == s->least_seen[j];
+    const bool above = s->highest[j] > most && most == s->most_seen[j];
+    const double low = q - (below ? noise : margin), high = q + (above ? noise : margin);
+    s->lowest[j] = q >= least ? least : below && s->lowest[j] < low ? s->lowest[j] : low;
+    s->highest[j] = q <= most ? most : above && s->highest[j] > high ? s->highest[j] : high;
+    s->least_seen[j] = least;
+    s->most_seen[j] = most;
 }
 
 /* What the program remembers no longer holds: it begins afresh, and its outputs are taken only

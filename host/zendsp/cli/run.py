@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import click
 
 from zendsp.cli.common import (
@@ -17,6 +19,13 @@ from zendsp.cli.completing import programs
 from zendsp_protocol.states import ProgramState
 
 
+def _finite(_: click.Context, __: click.Parameter, seconds: float | None) -> float | None:
+    """Refuse a time that is no number, or endless."""
+    if seconds is not None and not math.isfinite(seconds):
+        raise click.BadParameter(f"{seconds} is no time in which a program could end")
+    return seconds
+
+
 @click.command("run")
 @click.argument("words", nargs=-1, metavar="[FILE]", shell_complete=programs)
 @click.option(
@@ -24,7 +33,7 @@ from zendsp_protocol.states import ProgramState
     help="Before it starts; several too: --set Kp1=400 Kd1=40.",
 )
 @click.option(
-    "--seconds", type=float,
+    "--seconds", type=click.FloatRange(0, min_open=True), callback=_finite,
     help="Pause after this time of the target, and wait for it; Ctrl-C pauses at once.",
 )
 @flag_option

@@ -46,7 +46,9 @@ def way_back(
     if running and not off:
         steps = ["go_on"] if held else []
     else:
-        home = there and "homed" in unmet
+        # a program that went out of the range would go there again
+        outside = status.trip is not None and status.trip.reason == "position"
+        home = there and (outside or "homed" in unmet)
         enable = (drive.explicit or home) and drive.state != DriveState.ENABLED
         needed = {
             "acknowledge": status.trip is not None, "pause": running, "build": not there,
