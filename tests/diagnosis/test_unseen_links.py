@@ -105,7 +105,7 @@ def test_springs_that_all_encoders_need_are_explained_together(
     monkeypatch.setattr(linked, "is_chain", lambda *_: True)
     monkeypatch.setattr(linked, "needed_springs", lambda _, model, __: model)
     monkeypatch.setattr(linked, "_springs_after", lambda *_: None)
-    monkeypatch.setattr(linked._Felt, "lacking", frozenset())
+    monkeypatch.setattr(linked.Felt, "lacking", frozenset())
     parts, (_, decisions, _) = _ask(first)
     assert parts.felt == frozenset({1, 2}) and [len(d.claims) for d in decisions] == [1, 1]
 
@@ -132,7 +132,7 @@ def test_the_spring_that_all_encoders_need_is_explained_before_one_that_it_made_
     monkeypatch.setattr(linked, "springs_of", lambda _: frozenset({1}))
     monkeypatch.setattr(linked, "needed_springs", lambda _, model, __: model)
     monkeypatch.setattr(linked, "_springs_after", lambda *_: None)
-    monkeypatch.setattr(linked._Felt, "lacking", frozenset())
+    monkeypatch.setattr(linked.Felt, "lacking", frozenset())
     parts, _ = _ask(first)
     assert parts.felt == frozenset({1} if pays else {2})
     assert asked == ([{1}] if pays else [{1}, {2}])

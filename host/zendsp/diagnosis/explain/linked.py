@@ -7,17 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.assemble import calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import SIMULATORS_DIFFER
 from zendsp.diagnosis.explain.joints import Done, Explained, explain, with_bodies
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.transmission.arm_chain import springs_of
-from zendsp.diagnosis.transmission.arm_motion import is_chain, with_springs_at
+from zendsp.diagnosis.transmission.arm_motion import is_chain, may_be_chain, with_springs_at
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.other_springs import (
+    first_springs,
     likeliest_springs,
     needed_springs,
     with_other_spring,
@@ -43,7 +46,7 @@ class _Machine:
 
 
 @dataclass(frozen=True)
-class _Felt:
+class Felt:
     """An explanation in which the links of some joints are felt by the others."""
 
     joints: frozenset[int]
@@ -63,9 +66,54 @@ class _Felt:
         return frozenset(d.joint for d in self.proposed if d.after.low > SIMULATORS_DIFFER)
 
     @property
+    def is_all(self) -> bool:
+        """Whether each of these joints claims its transmission, nothing else is claimed, and no
+        other joint surely lacks anything.
+        """
+        own = _unseen(self.explained[1], "transmission") >= self.joints
+        return own and self.cost[0] == len(self.joints) and self.lacking <= self.joints
+
+    @property
     def cost(self) -> tuple[int, float]:
         """The count of claims, and the position error on the recordings to choose by."""
         return _cost(self.parts.choose, self.explained[1])
+
+
+def by_all_encoders(
+    measured_motion: Parts, parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
+) -> Felt | None:
+    """The explanation in which others feel the links behind the springs that all encoders of an arm
+    show together, before any joint is searched by itself; None where they show none.
+
+    Upon recorded positions a joint beside a spring lacks what nobody names, and is searched for
+    longest: of an arm of six joints with one, six times as long as with the link it feels.
+    """
+    every = range(1, given.joints + 1)
+    if given.joints < 2 or divided(beneath) or not may_be_chain(parts.fit, beneath, every):
+        return None
+    tell(Step.ASSEMBLING.says("what all encoders say together about springs"))
+    model = first_springs(parts.fit, beneath)
+    if model is None:
+        return None
+    machine = _Machine(measured_motion, given, beneath, jobs, tell)
+    felt = _settled(machine, _calibrated(machine, model), frozenset(springs_of(model)))
+    return felt if is_chain(parts.fit, felt.explained[2].improved, felt.joints) else None
+
+
+def _calibrated(machine: _Machine, model: Model) -> Model:
+    """The model with springs, calibrated upon links that move as it says, and then with the springs
+    that all encoders have beside these numbers.
+    """
+    springs, fit = springs_of(model), machine.measured_motion.fit
+    parts = with_links(Parts(fit, fit, fit), model, springs)
+    fit = with_bodies(parts, machine.beneath).fit
+    others = with_springs_at(model, ()).terms
+    held = model.with_terms((*others, *(spring.held() for spring in springs.values())))
+    every = range(1, model.joints + 1)
+    bases = [calibrate_joint(fit, held, joint, machine.jobs) for joint in every]
+    known = calibrated_machine(fit, held, bases, machine.jobs)
+    others = with_springs_at(known, ()).terms
+    return likeliest_springs(fit, known.with_terms((*others, *springs.values())), springs)
 
 
 def with_their_links(
@@ -76,6 +124,7 @@ def with_their_links(
     first: Explained,
     jobs: int,
     tell: Progress,
+    felt: Felt | None = None,
 ) -> tuple[Parts, Explained]:
     """The explanation, repeated where a joint was found to have a transmission or a sensor error.
 
@@ -83,10 +132,14 @@ def with_their_links(
     their own. The joints are taken one after the other, each time the one that explains the machine
     best, as long as that claims no more and predicts no worse; a spring of another joint that it
     hid may be one claim more. A link counts, too, whose joint was given up because the whole
-    machine predicted worse with it.
+    machine predicted worse with it. ``felt``: an explanation that is the first to be tried.
     """
     machine = _Machine(measured_motion, given, beneath, jobs, tell)
-    now = _Felt(divided(beneath), parts, first)
+    now = Felt(divided(beneath), parts, first)
+    if felt is not None and (
+        felt.explained is first or (_claims_all(machine, felt) and _explains(felt, now))
+    ):
+        now = felt
     while found := _unseen(now.proposed, "transmission", "measurement") - now.joints:
         tell(Step.ASSEMBLING.says("the links that nobody sees: what the other joints feel"))
         other = _next(machine, now, found)
@@ -106,7 +159,7 @@ def with_their_links(
     return now.parts, (explained[0], calm, explained[2])
 
 
-def _explains(felt: _Felt, before: _Felt) -> bool:
+def _explains(felt: Felt, before: Felt) -> bool:
     """Whether an explanation claims no more than the one before, but for a spring of each joint
     whose link was not felt there, and predicts no worse.
     """
@@ -115,7 +168,7 @@ def _explains(felt: _Felt, before: _Felt) -> bool:
     return felt.cost[0] < claims + new and felt.cost[1] <= before.cost[1]
 
 
-def _next(machine: _Machine, now: _Felt, found: frozenset[int]) -> _Felt | None:
+def _next(machine: _Machine, now: Felt, found: frozenset[int]) -> Felt | None:
     """The explanation in which others feel the links of more joints; None where none pays.
 
     Of several springs all encoders together say which are needed. Where that is one, it comes
@@ -138,7 +191,7 @@ def _next(machine: _Machine, now: _Felt, found: frozenset[int]) -> _Felt | None:
 
 
 def _needed(
-    machine: _Machine, now: _Felt, found: frozenset[int]
+    machine: _Machine, now: Felt, found: frozenset[int]
 ) -> tuple[Model, frozenset[int]] | None:
     """The model with the springs of several joints that all encoders together need, and these
     joints; None where there are not several. One after the other, each spring would take up a part
@@ -155,7 +208,7 @@ def _needed(
     return None if needed is None else (needed, frozenset(springs_of(needed)))
 
 
-def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
+def _with_link(machine: _Machine, now: Felt, joint: int) -> Felt:
     """The explanation in which others feel the link of one more joint. Behind springs of an arm all
     joints are explained again, with links that move as all encoders say: the springs fitted to
     accelerations that were wrong.
@@ -167,10 +220,10 @@ def _with_link(machine: _Machine, now: _Felt, joint: int) -> _Felt:
         return _settled(machine, model, joints)
     parts = with_links(machine.measured_motion, model, joints, together=False)
     kept = now.explained[0][joint - 1], decision
-    return _Felt(joints, parts, _explain(machine, parts, {joint: kept}))
+    return Felt(joints, parts, _explain(machine, parts, {joint: kept}))
 
 
-def _settled(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
+def _settled(machine: _Machine, model: Model, joints: frozenset[int]) -> Felt:
     """The explanation of an arm with springs at some joints. What a joint still lacks may be a
     spring that these hid.
     """
@@ -191,18 +244,18 @@ def _settled(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
     return both if _claims_all(machine, both) and both.cost[1] < alone.cost[1] else alone
 
 
-def _claims_all(machine: _Machine, felt: _Felt) -> bool:
+def _claims_all(machine: _Machine, felt: Felt) -> bool:
     """Whether every joint whose link is felt claims its own transmission."""
     return felt.joints <= _unseen(felt.proposed, "transmission") | divided(machine.beneath)
 
 
-def _in_turns(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
+def _in_turns(machine: _Machine, model: Model, joints: frozenset[int]) -> Felt:
     """The explanation of an arm with springs at some joints: these, and the motion that others feel
     of them, in turns. Several springs are those of all encoders: a joint by itself fits its own to
     a motion that the others' springs made, and follows them slowly.
     """
     parts = with_links(machine.measured_motion, model, joints)
-    now = _Felt(joints, parts, _explain(machine, parts, {}))
+    now = Felt(joints, parts, _explain(machine, parts, {}))
     for _ in range(IN_TURNS):
         after = _springs_after(now, model, joints)
         if after is None or not _moved(model, after, joints):
@@ -213,20 +266,18 @@ def _in_turns(machine: _Machine, model: Model, joints: frozenset[int]) -> _Felt:
             for s, d in zip(*now.explained[:2], strict=True)
             if d.joint not in joints
         }
-        other = _Felt(joints, parts, _explain(machine, parts, kept))
+        other = Felt(joints, parts, _explain(machine, parts, kept))
         if other.cost > now.cost:
             break
         model, now = after, other
     return now
 
 
-def _springs_after(now: _Felt, model: Model, joints: frozenset[int]) -> Model | None:
+def _springs_after(now: Felt, model: Model, joints: frozenset[int]) -> Model | None:
     """The explained model with the springs to go on with; None where these are none. Several are
     elastic ones, though beside wrong others one may seem to stiffen.
     """
     after = now.explained[2].improved
-    if len(joints) == 1:
-        return after if is_chain(now.parts.fit, after, joints) else None
     if not joints <= _unseen(now.proposed, "transmission"):
         return None
     kept = with_springs_at(after, set(springs_of(after)) - joints).terms
@@ -246,7 +297,7 @@ def _explain(machine: _Machine, parts: Parts, known: Done) -> Explained:
     return explain(with_bodies(parts, m.beneath), m.given, m.beneath, m.jobs, m.tell, known)
 
 
-def _with_proposed(model: Model, now: _Felt, decision: Decision) -> Model:
+def _with_proposed(model: Model, now: Felt, decision: Decision) -> Model:
     """The improved model, with what a decision that was given up has at its joint."""
     if decision is now.explained[1][decision.joint - 1]:
         return model

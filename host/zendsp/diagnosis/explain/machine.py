@@ -37,7 +37,7 @@ from zendsp.diagnosis.explain.joints import (
     plainer,
     with_bodies,
 )
-from zendsp.diagnosis.explain.linked import with_their_links
+from zendsp.diagnosis.explain.linked import by_all_encoders, with_their_links
 from zendsp.diagnosis.explain.one_joint import decided_again, upon_ripples, with_fine_ripples
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
@@ -259,12 +259,16 @@ def _beneath(
         return known_by(explain(parts, given, beneath, jobs, tell, every))
 
     try:
-        explained = explain(parts, given, beneath, jobs, tell)
+        sprung = by_all_encoders(measured_motion, parts, given, beneath, jobs, tell)
+        if sprung is not None and sprung.is_all:
+            explained = sprung.explained
+        else:
+            explained = explain(parts, given, beneath, jobs, tell)
     except SearchStopped as stop:
         raise Stopped(known_of(stop.done)) from None
     with kept(lambda: known_by(explained)):
         linked, again = with_their_links(
-            measured_motion, bare, given, beneath, explained, jobs, tell
+            measured_motion, bare, given, beneath, explained, jobs, tell, sprung
         )
         if linked is not bare:
             bare, parts = linked, with_bodies(linked, beneath)

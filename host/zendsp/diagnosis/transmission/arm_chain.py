@@ -170,13 +170,13 @@ def chain_of(path: Path, model: Model) -> Chain | None:
     if not np.all(np.isfinite(whole)) or not np.linalg.eigvalsh(whole).min() > 0.0:
         return None
     steps = _discrete(whole, springs, links, sample_time)
-    torques = np.zeros((rec[0].n, len(rec) + len(springs)))
+    torques = np.zeros((len(path.at_links), len(rec) + len(springs)))
     unsure = np.zeros_like(torques)
     torques[:, links] = path.at_links
     torques[:, : len(rec)] += path.at_motors
     unsure[:, : len(rec)] = path.unsure
     usual = np.array([r.scale.torque for r in rec] + [rec[j - 1].scale.torque for j in springs])
-    start = _start(rec, springs, links, path.seen[0][0], torques[0])
+    start = _start(path, springs, links, torques[0])
     return Chain(
         path.masses, steps, torques, unsure, path.seen, start, links, usual, sample_time, path.every
     )
@@ -250,7 +250,7 @@ def _discrete(
 
 def _exponential(rate: Array) -> Array:
     """exp of matrices, (..., d, d), by scaling and squaring."""
-    size = max(float(np.max(np.abs(rate).sum(axis=-1))), 1e-12)
+    size = max(float(np.max(np.abs(rate).sum(axis=-1), initial=0.0)), 1e-12)
     halvings = max(0, math.ceil(math.log2(size / 0.5)))
     rate = rate / 2.0**halvings
     out = term = np.broadcast_to(np.eye(rate.shape[-1]), rate.shape)
@@ -263,18 +263,15 @@ def _exponential(rate: Array) -> Array:
 
 
 def _start(
-    rec: Records,
-    springs: Mapping[int, Term],
-    links: npt.NDArray[np.intp],
-    position: Array,
-    torques: Array,
+    path: Path, springs: Mapping[int, Term], links: npt.NDArray[np.intp], torques: Array
 ) -> tuple[Array, Array]:
     """The first state and its variances: springs hang as they bear the weight, or otherwise."""
     c = len(torques)
     first, variance = np.zeros(2 * c), np.zeros(2 * c)
-    for j, record in enumerate(rec):
+    for j, record in enumerate(path.rec):
         for i in {j, int(links[j])}:
-            first[i], first[c + i] = position[j], record.motion.states[1, 0]
+            first[i] = path.seen[0][0, j]
+            first[c + i] = record.motion.states[1, path.first]
             variance[i] = (FIRST_POSITION * record.measurement.std) ** 2
             variance[c + i] = (FIRST_SPEED * record.scale.speed) ** 2
         if j + 1 in springs:

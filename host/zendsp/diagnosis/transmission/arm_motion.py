@@ -25,6 +25,7 @@ from zendsp.physics.model import TREES, Model
 # The motion gives what is not linear, and is smoothed with it. Of an arm of two springs the links'
 # accelerations were off by 15 and 8 % after the first round and 8 and 6 % after the second.
 SMOOTHINGS = 2
+LIVELY = 6.0  # s: as much of the liveliest motion shows how strong unknown torques are
 UNKNOWN = 10.0 ** np.arange(-4.0, 0.6, 0.5)  # of the usual torques: unknown ones, to begin with
 BY_FACTORS = (10.0, 3.0)  # factors by which each is then changed
 
@@ -41,19 +42,23 @@ class ArmMotion:
     deviance: float
 
 
-def is_chain(data: Data, model: Model, joints: Collection[int]) -> bool:
-    """Whether a machine with springs at these joints (1-based) is a ``Chain``: of links apart from
-    their rotors, with encoders on the motors alone, and no gaps. (The numbers of a ``planar2r``
-    hold the elbow's rotor too, so nobody knows what of it the shoulder feels: a spring of
-    106 N m/rad came out as 99.2.)
+def may_be_chain(data: Data, model: Model, joints: Collection[int]) -> bool:
+    """Whether a machine would be a ``Chain`` with springs at these joints (1-based): of links apart
+    from their rotors, with encoders on the motors alone. (The numbers of a ``planar2r`` hold the
+    elbow's rotor too, so nobody knows what of it the shoulder feels: a spring of 106 N m/rad came
+    out as 99.2.)
     """
     of_bodies = model.called is not None or model.kind in TREES
     if not joints or not of_bodies or model.sensor.side == "load":
         return False
-    if any("position_load" in rec[j - 1].columns for rec in data.records for j in joints):
-        return False
+    return not any("position_load" in rec[j - 1].columns for rec in data.records for j in joints)
+
+
+def is_chain(data: Data, model: Model, joints: Collection[int]) -> bool:
+    """Whether a machine with springs at these joints (1-based) is a ``Chain``, without gaps."""
     springs = springs_of(model)
-    return all(j in springs and springs[j].effect == "elasticity" for j in joints)
+    elastic = all(j in springs and springs[j].effect == "elasticity" for j in joints)
+    return elastic and may_be_chain(data, model, joints)
 
 
 def with_springs_at(model: Model, joints: Collection[int]) -> Model:
@@ -74,11 +79,12 @@ def arm_motion(rec: Records, data: Data, model: Model) -> ArmMotion | None:
     links = np.stack([within_samples(r.motion.states, r.sample_time) for r in rec])
     found = None
     for _ in range(SMOOTHINGS):
-        chain = chain_of(path_along(rec, data, model, links), model)
-        if chain is None:
+        path = path_along(rec, data, model, links)
+        chain, lively = (chain_of(p, model) for p in (path, path.liveliest(LIVELY)))
+        if chain is None or lively is None:
             return None
         begin = UNKNOWN if found is None else found.strength[np.newaxis]
-        strength = strongest(chain, begin, BY_FACTORS)
+        strength = strongest(lively, begin, BY_FACTORS)
         value, states = chain.smoothed(strength)
         if not np.isfinite(value):
             return None

@@ -37,6 +37,10 @@ class Path:
     masses : ndarray, shape (poses, joints, joints)
     at_motors, at_links, unsure : ndarray, shape (n, joints)
         Known torques, and the variance of dry friction where a motor may stand, (N m)² or N².
+    lively : ndarray, shape (n,)
+        Squares of the accelerations, each joint's over its mean, added up.
+    first : int
+        The row of the recordings with which it begins.
     """
 
     rec: Records
@@ -46,6 +50,28 @@ class Path:
     unsure: Array
     seen: tuple[Array, Array, Array]
     every: int
+    lively: Array
+    first: int = 0
+
+    def liveliest(self, seconds: float) -> Path:
+        """The stretch of about this length in which the joints are accelerated most."""
+        rows = round(seconds / self.rec[0].sample_time)
+        if len(self.lively) <= rows:
+            return self
+        sums = np.concatenate([[0.0], np.cumsum(self.lively)])
+        start = int(np.argmax(sums[rows:] - sums[:-rows]))
+        cut = slice(start // self.every * self.every, start + rows)  # a pose is its first row
+        seen = tuple(np.ascontiguousarray(x[cut]) for x in self.seen)
+        return replace(
+            self,
+            masses=self.masses[cut.start // self.every : -(-cut.stop // self.every)],
+            at_motors=self.at_motors[cut],
+            at_links=self.at_links[cut],
+            unsure=self.unsure[cut],
+            seen=(seen[0], seen[1], seen[2]),
+            lively=self.lively[cut],
+            first=self.first + cut.start,
+        )
 
 
 def path_along(rec: Records, data: Data, model: Model, motion: Array) -> Path:
@@ -59,7 +85,9 @@ def path_along(rec: Records, data: Data, model: Model, motion: Array) -> Path:
     value += np.array(shift) - np.stack([_sensor_error(r, model) for r in rec], axis=1)
     masses = masses_along(rec, model, motion[:, :, ::every])
     torques = _torques(rec, data, model, motion)
-    return Path(rec, masses, *torques, (value, half, variance), every)
+    squares = np.square(motion[:, 2])
+    lively = (squares / np.maximum(squares.mean(axis=1, keepdims=True), 1e-300)).sum(axis=0)
+    return Path(rec, masses, *torques, (value, half, variance), every, lively)
 
 
 def rigid_along(rec: Records, model: Model, motion: Array) -> list[tuple[Array, Array]]:
