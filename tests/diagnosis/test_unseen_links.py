@@ -136,3 +136,26 @@ def test_the_spring_that_all_encoders_need_is_explained_before_one_that_it_made_
     parts, _ = _ask(first)
     assert parts.felt == frozenset({1} if pays else {2})
     assert asked == ([{1}] if pays else [{1}, {2}])
+
+
+@pytest.mark.parametrize("gap", [True, False])
+def test_of_several_springs_none_turns_into_a_gap_upon_links_that_move_as_springs_say(
+    gap: bool, felt: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Springs of two joints were right after the first turn; after the second one was a gap, and
+    all 47 s were for nothing.
+    """
+    both, model = frozenset({1, 2}), SimpleNamespace(called=None)
+    first, second = (_explained(_decision(1, 1), _decision(2, 1)) for _ in range(2))
+    left = [first, second, second, second]
+    felt[both] = first, -40.0
+    monkeypatch.setattr(linked, "explain", lambda *_: left.pop(0))
+    monkeypatch.setattr(
+        linked, "is_chain", lambda _, model, __: not (gap and model is second[2].improved)
+    )
+    monkeypatch.setattr(linked, "_springs_after", lambda *_: model)
+    monkeypatch.setattr(linked, "_moved", lambda *_: len(left) > 2)
+    parts: Any = _Parts(fit=None, choose=frozenset(), felt=frozenset())
+    machine = linked._Machine(parts, GIVEN, GIVEN, 1, lambda _: None)
+    anything: Any = model
+    assert linked._in_turns(machine, anything, both).explained is (first if gap else second)
