@@ -159,3 +159,19 @@ def test_of_several_springs_none_turns_into_a_gap_upon_links_that_move_as_spring
     machine = linked._Machine(parts, GIVEN, GIVEN, 1, lambda _: None)
     anything: Any = model
     assert linked._in_turns(machine, anything, both).explained is (first if gap else second)
+
+
+@pytest.mark.parametrize("rubs", [True, False])
+def test_missing_dry_friction_is_no_spring_of_all_encoders(
+    rubs: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A real arm without the friction of its model had a spring of 1100 N m/rad at joint 6."""
+    asked = []
+    monkeypatch.setattr(linked, "divided", lambda _: frozenset())
+    monkeypatch.setattr(linked, "may_be_chain", lambda *_: True)
+    monkeypatch.setattr(linked, "has", lambda _, mechanism, joint: rubs or joint != 2)
+    monkeypatch.setattr(linked, "first_springs", lambda *_: asked.append("springs"))
+    arm: Any = SimpleNamespace(joints=2)
+    parts: Any = _Parts(fit=None, choose=None)
+    assert linked.by_all_encoders(parts, parts, arm, arm, 1, lambda _: None) is None
+    assert asked == (["springs"] if rubs else [])

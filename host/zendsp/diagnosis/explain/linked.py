@@ -10,9 +10,11 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.assemble import calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.law_torque import has
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import SIMULATORS_DIFFER
 from zendsp.diagnosis.explain.joints import Done, Explained, explain, with_bodies
+from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
@@ -92,9 +94,13 @@ def by_all_encoders(
 
     Upon recorded positions a joint beside a spring lacks what nobody names, and is searched for
     longest: of an arm of six joints with one, six times as long as with the link it feels.
+    (A joint of which the model has no dry friction is searched first: with the model of a real arm
+    without any, a spring gained 466 of the deviance, and 311 on held-out recordings.)
     """
     every = range(1, given.joints + 1)
     if given.joints < 2 or divided(beneath) or not may_be_chain(parts.fit, beneath, every):
+        return None
+    if not all(has(beneath, DRY, joint) for joint in every):
         return None
     tell(Step.ASSEMBLING.says("what all encoders say together about springs"))
     model = first_springs(parts.fit, parts.choose, beneath, needed(given.joints))
