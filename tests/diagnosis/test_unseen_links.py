@@ -54,7 +54,7 @@ def felt(monkeypatch: pytest.MonkeyPatch) -> dict[frozenset[int], tuple[Any, flo
 
 def _ask(first: Any) -> tuple[Any, Any]:
     parts: Any = _Parts(fit=None, choose=frozenset(), felt=frozenset())
-    return linked.with_their_links(parts, parts, GIVEN, GIVEN, first, 1, lambda _: None)
+    return linked.with_their_links(parts, parts, GIVEN, GIVEN, (first, None), 1, lambda _: None)
 
 
 def test_a_link_that_explains_worse_does_not_hide_one_that_explains_better(felt: Any) -> None:

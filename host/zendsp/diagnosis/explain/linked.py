@@ -132,10 +132,9 @@ def with_their_links(
     parts: Parts,
     given: Model,
     beneath: Model,
-    first: Explained,
+    begun: tuple[Explained, Felt | None],
     jobs: int,
     tell: Progress,
-    felt: Felt | None = None,
 ) -> tuple[Parts, Explained]:
     """The explanation, repeated where a joint was found to have a transmission or a sensor error.
 
@@ -143,8 +142,10 @@ def with_their_links(
     their own. The joints are taken one after the other, each time the one that explains the machine
     best, as long as that claims no more and predicts no worse; a spring of another joint that it
     hid may be one claim more. A link counts, too, whose joint was given up because the whole
-    machine predicted worse with it. ``felt``: an explanation that is the first to be tried.
+    machine predicted worse with it. ``begun``: the explanation, and one
+    that is the first to be tried.
     """
+    first, felt = begun
     machine = _Machine(measured_motion, given, beneath, jobs, tell)
     now = Felt(divided(beneath), parts, first)
     if felt is not None and (

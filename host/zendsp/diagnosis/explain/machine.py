@@ -268,7 +268,7 @@ def _beneath(
         raise Stopped(known_of(stop.done)) from None
     with kept(lambda: known_by(explained)):
         linked, again = with_their_links(
-            measured_motion, bare, given, beneath, explained, jobs, tell, sprung
+            measured_motion, bare, given, beneath, (explained, sprung), jobs, tell
         )
         if linked is not bare:
             bare, parts = linked, with_bodies(linked, beneath)

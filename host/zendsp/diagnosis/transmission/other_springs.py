@@ -40,7 +40,7 @@ BY = np.array([0.15, 0.7])  # logarithms by which they are changed, one after th
 LITTLE_GAIN, NOTHING, PASSES = 10.0, 1.0, 12
 # s: as much of the liveliest motion shows where a spring is, and nearly how stiff. In 3 s true ones
 # gained 400 to 31 000
-LIVELY = 4.0
+SHOWS_SPRINGS = 4.0
 BETWEEN = 0.02  # logarithms of the numbers whose values give the second derivatives
 FARTHEST, SHORTER = 0.5, (1.0, 0.5, 0.2)  # a Newton step: logarithms; parts of it that are tried
 # A fit that is of use only below some deviance ends where so many passes that gain as much as the
@@ -75,7 +75,7 @@ def with_other_spring(
     arm = arm_motion(rec, data, known) if rest else None
     if arm is None:
         return None
-    path = path_along(rec, data, known, arm.links).liveliest(LIVELY)
+    path = path_along(rec, data, known, arm.links).liveliest(SHOWS_SPRINGS)
     tried = [
         (_value(path, other, arm, WEAKER), by, other)
         for by in (STIFFER if springs_of(known) else (1.0,))
@@ -123,7 +123,7 @@ def _log_e_as_tried(held: Data, known: Model, model: Model) -> float:
     arm = arm_motion(rec, held, known)
     if arm is None:
         return -math.inf
-    path = path_along(rec, held, known, arm.links).liveliest(LIVELY)
+    path = path_along(rec, held, known, arm.links).liveliest(SHOWS_SPRINGS)
     return 0.5 * (_value(path, known, arm) - _value(path, model, arm, WEAKER))
 
 
@@ -292,7 +292,7 @@ def _likeliest(
         weaker, steps = ((1.0,), (3.0,)) if turn else (WEAKER, (10.0, 3.0))
         arm = _moved_by(path, model, np.outer(weaker, _strength(model, arm)), steps)
         path = path_along(rec, data, model, arm.links)
-        asked = path if whole else path.liveliest(LIVELY)
+        asked = path if whole else path.liveliest(SHOWS_SPRINGS)
         model, best = (_by_newton if near else _climbed)(asked, model, arm)
         gain = last - best
         if whole and (gain < NOTHING or best - PASSES_LIKE_IT * abs(gain) > goal):
@@ -309,7 +309,7 @@ def _moved_by(
     """The motion of an arm along a path, with the likeliest unknown torques of its liveliest part,
     see ``strongest``.
     """
-    chain, lively = (chain_of(p, model) for p in (path, path.liveliest(LIVELY)))
+    chain, lively = (chain_of(p, model) for p in (path, path.liveliest(SHOWS_SPRINGS)))
     assert chain is not None
     assert lively is not None
     strength = strongest(lively, begin, steps)
