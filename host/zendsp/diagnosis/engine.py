@@ -217,8 +217,7 @@ def _with_zeros_given(
     found, stopped = _found(signals, parts, given, jobs, tell, so_far)
     found, clocks = _by_one_clock(found)
     found, findings, refinements, rejected = _name(found, given)
-    parts, decisions, whole = found.parts, found.decisions, found.whole
-    looked = _Looked(decisions)
+    parts, whole, looked = found.parts, found.whole, _Looked(decisions := found.decisions)
     try:
         if not stopped:
             looked = _look_on(found, given, findings, signals[0], seed, jobs, tell)

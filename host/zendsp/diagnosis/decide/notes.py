@@ -362,21 +362,17 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
             f" {f'{likeness(d.near)}. ' if d.near else ''}Larger and faster motion would show more"
             " of it"
         )
-    return (
-        f"Joint {d.joint}: a torque of {_torque(d, d.after.value, given)} is missing that "
-        + (
-            "no smooth function of the joint's state predicts on untouched recordings."
-            f" {likeness(d.near)}"
-            if d.near
-            else "neither a known effect nor any smooth function of the joint's state predicts on"
-            " untouched recordings"
-        )
-        + (
-            _behind_another(decisions, given, d.joint)
-            or _hardly_moves(fit, d.joint)
-            or _held(d, fit, given)
-        )
-    )
+    reason = _behind_another(decisions, given, d.joint) or _hardly_moves(fit, d.joint)
+    return _lawless(d, given) + (reason or _held(d, fit, given))
+
+
+def _lawless(d: Decision, given: Model) -> str:
+    """The unexplained torque that no function of the state predicts, in words."""
+    what = f"Joint {d.joint}: a torque of {_torque(d, d.after.value, given)} is missing that"
+    smooth = "smooth function of the joint's state predicts on untouched recordings"
+    if d.near:
+        return f"{what} no {smooth}. {likeness(d.near)}"
+    return f"{what} neither a known effect nor any {smooth}"
 
 
 def _torque(d: Decision, share: float, given: Model) -> str:

@@ -19,11 +19,11 @@ from zendsp.physics.effects.axes import HARMONICS
 Array = npt.NDArray[np.float64]
 
 MOST_ORDERS = 4000
-CELLS = 8  # of the position within the shortest wave
+CELLS_OF_A_WAVE = 8  # of the position within the shortest wave
 NEIGHBOURS = 64  # orders among which a peak stands out
 PEAKS = 4  # the highest ones are tried
 # chance that the highest of all orders looked at stands out by as much where nothing repeats
-BY_CHANCE = 0.01
+CHANCE_ORDER = 0.01
 
 
 def finest(records: Sequence[JointRecord]) -> float:
@@ -63,7 +63,7 @@ def outstanding(
     if first.slides or end - begin < 3:
         return []
     # a transform of so many cells of the position has the orders k * apart
-    cells = 2 * CELLS * end
+    cells = 2 * CELLS_OF_A_WAVE * end
     wide = 2.0 * math.pi / (apart * cells)
     sums = np.zeros(cells)
     for q, values in zip(along, series, strict=True):
@@ -73,6 +73,6 @@ def outstanding(
     usual = np.concatenate([np.full(len(b), np.median(b)) for b in blocks])
     clear = power / np.maximum(usual, 1e-300)
     top = 1 + np.flatnonzero((clear[1:-1] >= clear[:-2]) & (clear[1:-1] >= clear[2:]))
-    sure = math.log2(len(power) / BY_CHANCE)
+    sure = math.log2(len(power) / CHANCE_ORDER)
     best = sorted(top[clear[top] > sure], key=lambda k: -clear[k])[:PEAKS]
     return [float(apart * (begin + k)) for k in best]
