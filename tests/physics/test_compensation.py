@@ -115,6 +115,27 @@ def test_compensation_fades_and_stays_within_its_limit(
     assert np.all(added[1010:1490] == 0.0) and added[2100] == pytest.approx(height)
 
 
+UNDRIVEN = """#include "isr.h"
+#include "compensation.c"
+static double added, vel[2] = {1.0, 1.0};
+void UserInit(void) { CompensationInit(); SIGNAL(added, "N m", ""); }
+void UserISR_INT2(void) { added = Compensation(1, vel, vel, vel, 0.0); WRITE_TORQUE(0, 0.0); }
+void UserBackground(void) {}
+"""
+
+
+def test_a_joint_without_a_motor_gets_no_torque_of_a_compensation() -> None:
+    """Its limit was endless there, and the machine tripped: "to hinge, which has no motor"."""
+    model = rotary(effect("coulomb", level=0.2))
+    hinge = Term("coulomb", 2, {"level": Quantity(0.05)})
+    for terms in ([hinge], model.terms):
+        at = 1 if terms is not model.terms else 0
+        loop = UNDRIVEN.replace("Compensation(1", f"Compensation({at}")
+        files = {"loop.c": loop, "compensation.c": compensation(terms)}
+        rec = simulate(files, model, seconds=0.1, channels=["added"])
+        assert np.all((rec["added"] == 0.0) == (at == 1))
+
+
 def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_out() -> None:
     terms = [t for t in every_effect() if not compensable(t)]
     assert {t.effect for t in terms} >= {
