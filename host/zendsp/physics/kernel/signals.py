@@ -361,7 +361,7 @@ def _to_and_fro(y: Array, resolution: float) -> float | None:
 
     Between samples v counts apart, with a noise of s counts, a code changes by |v + sqrt(2) s z| in
     the mean, z normal: more than v, the more so the slower the motion. Few changes too many are a
-    small noise, known to 0.03 counts, not none: taken for none where they were fewer than twice the
+    small noise, known to 0.04 counts, not none: taken for none where they were fewer than twice the
     root of their number, 0.12 counts were nothing in two recordings of three.
     """
     if len(y) < 5 * PACE:
