@@ -211,7 +211,7 @@ static inline double Compensation(int32_t joint, const double *pos, const double
 {cases}    default:
         break;
     }}
-{inverse}    const double most = comp_limit * TORQUE_MAX(joint); /* none of a joint without a motor */
+{inverse}    const double most = comp_limit * TORQUE_MAX(joint); /* 0 without a motor */
     return fmax(-most, fmin(most, wanted - torque));
 }}
 """  # noqa: E501

@@ -360,9 +360,10 @@ def _to_and_fro(y: Array, resolution: float) -> float | None:
     forth; None where there is too little of such motion.
 
     Between samples v counts apart, with a noise of s counts, a code changes by |v + sqrt(2) s z| in
-    the mean, z normal: more than v, the more so the slower the motion. Few changes too many are a
-    small noise, known to 0.04 counts, not none: taken for none where they were fewer than twice the
-    root of their number, 0.12 counts were nothing in two recordings of three.
+    the mean, z normal: more than v, the more so the slower the motion. Without noise each stretch
+    of such motion has as many changes as counts it is long, to the rounding of its two ends,
+    sqrt(1/6): what that explains (two deviations) is no noise. By the root of their own number, as
+    if they came at random, 0.12 counts were nothing in two recordings of three.
     """
     if len(y) < 5 * PACE:
         return None
@@ -372,7 +373,8 @@ def _to_and_fro(y: Array, resolution: float) -> float | None:
     v, changes = v[use], float(np.abs(np.diff(y))[use].sum()) / resolution
     if v.sum() < PASSED:
         return None
-    if changes <= v.sum():
+    stretches = np.count_nonzero(np.diff(use.astype(int)) > 0) + int(use[0])
+    if changes - v.sum() < 2.0 * np.sqrt(stretches / 6.0):
         return 0.0
     count, edges = np.histogram(v, bins=BINS)
     speeds = 0.5 * (edges[1:] + edges[:-1])
