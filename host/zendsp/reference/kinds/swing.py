@@ -68,23 +68,19 @@ def _collocate(
     total = opti.variable() if duration is None else duration
     h = total / n
 
-    def rate(q: Any, v: Any, tau: Any) -> Any:
+    # one column an interval: what an interval begins with, and its collocation points
+    points = [x[:, k : n * DEGREE - DEGREE + 1 + k : DEGREE] for k in range(DEGREE + 1)]
+    for k in range(1, DEGREE + 1):
+        q, v = points[k][0, :], points[k][1, :]
         resist = p.gravity * ca.sin(q) + p.friction * ca.tanh(beta * v) + p.viscous * v
-        return ca.vertcat(v, (tau - resist) / p.theta1)
-
-    energy = 0
-    for i in range(n):
-        block = [x[:, i * DEGREE + k] for k in range(DEGREE + 1)]
-        for k in range(1, DEGREE + 1):
-            derivative = sum(slope[j, k] * block[j] for j in range(DEGREE + 1))
-            opti.subject_to(derivative == h * rate(block[k][0], block[k][1], u[i]))
-        energy += h * u[i] ** 2
+        rate = ca.vertcat(v, (u - resist) / p.theta1)
+        opti.subject_to(sum(slope[j, k] * points[j] for j in range(DEGREE + 1)) == h * rate)
+    energy = h * ca.sumsqr(u)
     opti.subject_to(x[:, 0] == ca.vertcat(p.q0, 0))
     opti.subject_to(x[:, -1] == ca.vertcat(p.q1, 0))
     opti.subject_to(opti.bounded(-p.torque, u, p.torque))
     opti.subject_to(opti.bounded(-p.speed, x[1, :], p.speed))
-    starts = x[1, 0 : n * DEGREE : DEGREE]
-    opti.subject_to(opti.bounded(-p.supply, p.k_a * starts + p.R_a / p.k_a * u, p.supply))
+    opti.subject_to(opti.bounded(-p.supply, p.k_a * points[0][1, :] + p.R_a / p.k_a * u, p.supply))
     if duration is None:
         opti.subject_to(opti.bounded(0.02, total, 20.0))
     # Time alone leaves the torque undetermined where nothing binds: a trace of energy settles it.
