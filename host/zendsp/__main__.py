@@ -7,26 +7,58 @@ from __future__ import annotations
 import sys
 
 try:
+    import atexit
     import os
     import signal
 except KeyboardInterrupt:
+    sys.stderr.write("interrupted\n")
     raise SystemExit(130) from None
 
+HELD = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}  # until the command can be ended by them
 AGAIN_S = 0.05  # by then the main thread is elsewhere, perhaps in a call that only a signal ends
 
 
 def main() -> None:
     """Import the commands and run the one that was typed."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    signal.pthread_sigmask(signal.SIG_BLOCK, HELD)
     _open_streams()
+    end = _End()
     from zendsp.cli import main as command
+    from zendsp.here.ending import end_softly, interruption
 
+    end_softly()
     sys.unraisablehook = _unraisable
     try:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)  # a Ctrl-C meanwhile comes here
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, HELD)  # what came meanwhile comes here
         command()
     except KeyboardInterrupt:
-        raise SystemExit(130) from None
+        words, status = interruption()
+        sys.stderr.write(f"{words}\n")
+        raise SystemExit(end.status_of(status)) from None
+    except SystemExit as stop:
+        end.status_of(stop.code)
+        raise
+
+
+class _End:
+    """Ends the process once all exit handlers have run. The interpreter's own end would abort it
+    where one of Zenoh's threads returns from compiled code meanwhile ("exception not rethrown").
+    """
+
+    def __init__(self) -> None:
+        self.status = 1  # of an error that nobody expected
+        atexit.register(self._leave)  # the first: it runs last
+
+    def status_of(self, code: object) -> int:
+        """Note the exit status that a ``SystemExit`` with this code means, and return it."""
+        self.status = code if isinstance(code, int) else int(code is not None)
+        return self.status
+
+    def _leave(self) -> None:
+        if "zenoh" in sys.modules:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(self.status)
 
 
 def _open_streams() -> None:

@@ -29,6 +29,6 @@ def die_with(parent: int) -> None:
 def call(parent: int) -> str:
     """Return Python code that is ``zendsp`` and ends with `parent`."""
     return (
-        f"from zendsp.parent import die_with; die_with({parent}); from zendsp.cli import main;"
-        " main()"
+        f"from zendsp.parent import die_with; die_with({parent}); from zendsp.__main__ import"
+        " main; main()"
     )

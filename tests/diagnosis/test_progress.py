@@ -98,10 +98,10 @@ def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: 
     pressed.clear()
     d = diagnose(run, model, jobs=1, progress=press, so_far=True)
     assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)]
-    assert d.headline.startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
-    assert "Joint 2: it was not searched before Ctrl-C" in d.unexplained
+    assert d.headline.startswith("So far, interrupted: Missing physics: dry friction")
+    assert "Joint 2: it was not searched before the interrupt" in d.unexplained
     assert d.stopped and not d.detectable and d.next_recording is None
-    assert str(d).startswith("verdict: missing, so far, ended by Ctrl-C\n")
+    assert str(d).startswith("verdict: missing, so far, interrupted\n")
 
 
 def test_ctrl_c_after_the_search_keeps_all_that_was_found(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_ctrl_c_after_the_search_keeps_all_that_was_found(tmp_path: Path) -> Non
     assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)]
     assert not d.unexplained and not d.detectable and d.next_recording is None
     assert "when all joints had been searched" in d.notes[0]
-    assert d.headline.startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
+    assert d.headline.startswith("So far, interrupted: Missing physics: dry friction")
     with pytest.raises(KeyboardInterrupt):
         diagnose(run, model, jobs=1, progress=press)
 
@@ -171,7 +171,7 @@ def test_a_diagnosis_that_is_ended_by_a_signal_says_so(tmp_path: Path, number: i
     run, model = _two_joints(tmp_path)
     (tmp_path / "m.toml").write_text(tomli_w.dumps(model))
     words = ["zendsp", "diagnose", str(run), "--model", "m.toml", "--jobs", "2"]
-    code = f"import sys; sys.argv = {words}; from zendsp.cli import main; main()"
+    code = f"import sys; sys.argv = {words}; from zendsp.__main__ import main; main()"
     with subprocess.Popen(
         [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         env={**os.environ, "ZENDSP_PROGRESS": "lines"},
@@ -180,7 +180,8 @@ def test_a_diagnosis_that_is_ended_by_a_signal_says_so(tmp_path: Path, number: i
         next(line for line in process.stderr if line.startswith("1/6"))
         process.send_signal(number)  # before a joint is done, of which there would be a report
         said = process.stderr.read()
-    assert process.returncode == 130 and said.endswith("interrupted\n"), said
+    assert process.returncode == 128 + number, said
+    assert said.endswith(f"ended by {signal.Signals(number).name}\n"), said
     assert re.search("it was at [123]/6", said) and "Traceback" not in said
 
 

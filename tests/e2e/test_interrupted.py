@@ -21,13 +21,13 @@ from zendsp.recording import Recording
 
 # started in the background of a shell, Python would leave Ctrl-C to be ignored
 COMMAND = (
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from zendsp.cli"
-    " import main; main()"
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from"
+    " zendsp.__main__ import main; main()"
 )
 
 
 def _interrupted(
-    *words: object, when: Callable[[], object], what: str, status: int = 130,
+    *words: object, when: Callable[[], object], what: str, status: int | None = None,
     by: int = signal.SIGINT, again_s: float | None = None,
 ) -> subprocess.CompletedProcess[str]:
     """Type a command, and Ctrl-C (or another signal) as soon as ``when`` holds; and once more."""
@@ -41,7 +41,7 @@ def _interrupted(
         time.sleep(again_s)
         process.send_signal(by)
     out, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == status, err
+    assert process.returncode == (128 + by if status is None else status), err
     return subprocess.CompletedProcess(words, process.returncode, out, err)
 
 

@@ -204,7 +204,7 @@ def test_a_request_without_a_usable_draw_is_left_out_and_said(
 def test_a_proof_that_is_ended_says_what_is_kept_and_how_to_go_on(
     number: signal.Signals, made: Path
 ) -> None:
-    line = (sys.executable, "-c", "from zendsp.cli import main; main()", "prove")
+    line = (sys.executable, "-c", "from zendsp.__main__ import main; main()", "prove")
     process = subprocess.Popen(
         [*line, "--judge", str(made), "--jobs", "1"], stderr=subprocess.PIPE, text=True
     )
@@ -218,7 +218,7 @@ def test_a_proof_that_is_ended_says_what_is_kept_and_how_to_go_on(
     assert f":{process.pid}) writes there since" in said, said
     process.send_signal(number)
     said = process.communicate(timeout=PATIENCE_S)[1]
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     kept = f"{made} keeps what is done (0 of 2 cases answered): the same command goes on there"
     assert kept in said, said
     running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True)

@@ -198,7 +198,7 @@ engine.detectable = slow
         await until(pilot, lambda: "slow" in screen.said, "the search is done")
         await pilot.press("ctrl+c")
         await until(pilot, lambda: screen.shown and not screen.busy, "so far")
-        assert text_of(screen, "#verdict").startswith("So far, ended by Ctrl-C: Missing physics")
+        assert text_of(screen, "#verdict").startswith("So far, interrupted: Missing physics")
         assert screen.shown is not None and screen.shown.page.exists()
         await pilot.press("s")
         await until(pilot, lambda: "slow" in screen.said, "once more")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import io
 import os
+import signal
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +17,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE_S
 
+import zendsp
 from zendsp.cli import COMMANDS, LazyGroup, cli, main
 from zendsp.cli.lines import fitted, write_anywhere
 from zendsp.cli.stats import bars
@@ -154,7 +157,7 @@ import os, sys
 class Finder:
     def find_spec(self, name, path=None, target=None):
         if name == os.environ["WHEN"]:
-            os.kill(os.getpid(), 2)
+            os.kill(os.getpid(), int(os.environ.get("SIGNAL", "2")))
 
 sys.meta_path.insert(0, Finder())
 """
@@ -188,6 +191,54 @@ def test_ctrl_c_while_a_command_begins_ends_it_without_a_traceback(
     )
     assert done.returncode == 130, done.stderr
     assert "Traceback" not in done.stderr and not done.stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("when", ["zendsp", "zendsp.cli", "zendsp.cli.ls"])
+def test_a_signal_from_the_first_line_of_the_installed_command_on_ends_it_in_one_line(
+    when: str, number: signal.Signals, tmp_path: Path
+) -> None:
+    """What pip writes for an entry point imports before anything can catch a Ctrl-C."""
+    (tmp_path / "sitecustomize.py").write_text(INTERRUPTS)
+    root = Path(zendsp.__file__).parents[2]
+    scripts = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
+    (script,) = scripts["targets"]["wheel"]["shared-scripts"]
+    assert os.access(root / script, os.X_OK), "pip would install it as it is"
+    done = subprocess.run(
+        [sys.executable, root / script, "ls"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "WHEN": when, "SIGNAL": str(int(number))},
+        timeout=PATIENCE_S,
+    )
+    words = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
+    assert (done.returncode, done.stderr.strip()) == (128 + number, words)
+
+
+def test_where_zenoh_has_threads_the_interpreter_is_not_taken_apart(tmp_path: Path) -> None:
+    """One that comes back from compiled code meanwhile aborts the process: `zendsp watch` did."""
+    code = """
+import atexit, sys, types
+from zendsp import cli
+from zendsp.__main__ import main
+
+class Thing:
+    def __del__(self):
+        print("taken apart", file=sys.__stderr__)
+
+def command():
+    sys.modules["zenoh"] = types.ModuleType("zenoh")
+    sys.modules["zenoh"].thing = Thing()
+    atexit.register(print, "handlers ran")
+    sys.exit(3)
+
+cli.main = command
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (3, "handlers ran\n", "")
 
 
 def test_ctrl_c_while_an_object_is_taken_apart_is_not_lost() -> None:

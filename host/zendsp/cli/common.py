@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-import signal
 import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
@@ -27,7 +26,6 @@ from zendsp_protocol.values import Assignable, Packed, from_wire
 if TYPE_CHECKING:
     from zendsp.link import Target
 
-ENDING = (signal.SIGTERM, signal.SIGHUP)
 _UNIT = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*[^\W\d_]")  # a number, a letter
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -82,15 +80,6 @@ def acknowledge(target: Target, sample: int | None) -> None:
     click.echo(target.acknowledge(trip), err=True)
 
 
-def end_softly() -> None:
-    """Have SIGTERM and the closing of the terminal act as Ctrl-C, so that unfinished work is
-    cleaned up.
-    """
-    for number in ENDING:
-        if signal.getsignal(number) == signal.SIG_DFL:
-            signal.signal(number, signal.default_int_handler)
-
-
 class NotCompiled(click.exceptions.Exit):
     """Ends a command whose code does not compile; why not is told by then."""
 
@@ -104,8 +93,7 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
     shell.
 
     At the end a trip or crash of the target is reported on standard error; not an old one, where
-    the command failed for another reason. Until then SIGTERM and the closing of the terminal act as
-    Ctrl-C, so that what was set for a run is restored.
+    the command failed for another reason.
 
     Parameters
     ----------
@@ -129,7 +117,6 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
 
     with connect(name, endpoint) as target:
         target.programs.outlives = False  # a command says how it leaves the machine
-        end_softly()
         refused, cut_short, old = "", False, ""
         with suppress(ZendspError):
             old = trouble(target.status())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit, end_softly, json_option, out_option, parse_names
+from zendsp.cli.common import emit, json_option, out_option, parse_names
 from zendsp_protocol.texts import counted
 
 
@@ -45,7 +45,6 @@ def command(
     from zendsp.recording.files import check_suffix
 
     check_suffix(out)
-    end_softly()
     left_out = [_range(text) for text in parse_names(without)]
     parts = read_parts(recording, begin, end, parse_names(finite), time, left_out)
     files = [

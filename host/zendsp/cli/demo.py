@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import check_writable, emit, end_softly, json_option
+from zendsp.cli.common import check_writable, emit, json_option
 from zendsp.cli.completing import machines
 from zendsp.errors import ZendspError
 from zendsp.one_writer import one_writer
@@ -65,7 +65,6 @@ def command(
     from zendsp.demo.narrator import Narrator
 
     check_writable(out)
-    end_softly()
     narrator = Narrator(quiet=as_json)
     try:
         with one_writer(out, "zendsp demo"):

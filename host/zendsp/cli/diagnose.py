@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import check_writable, end_softly, out_option
+from zendsp.cli.common import check_writable, out_option
 from zendsp.cli.complaints import say_open
 from zendsp.cli.completing import models
 from zendsp.cli.lines import fitted
@@ -88,11 +88,11 @@ def command(
 
     Calibrates the given model, locates what remains, names the missing physics, and shows the fit
     improve on held-out recordings. Several recordings are fitted jointly, or each on its own with
-    --each. Exit status 0 when a diagnosis was made, 2 for unusable input.
+    --each. Exit status 0 when a diagnosis was made, 2 for unusable input; 130 after Ctrl-C, with
+    what was found until then.
 
     Example:  zendsp diagnose run1.csv run2.csv --model bench.toml --heldout test.csv --out report
     """
-    end_softly()
     if not train:
         raise click.UsageError(
             "which recording? For example: zendsp diagnose run.mat --model arm.toml"
@@ -213,6 +213,9 @@ def _together(asked: _Asked, run_on: str | None) -> None:
             click.echo(f"next motion: {f'none, {why}' if why else written / 'next_reference.mat'}")
     if out is not None and wrong:
         click.echo(f"zendsp: {wrong}", err=True)
+    if result.stopped:
+        raise KeyboardInterrupt
+    if out is not None and wrong:
         raise click.exceptions.Exit(1)
 
 

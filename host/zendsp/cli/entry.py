@@ -13,6 +13,7 @@ from zendsp.cli.commands import cli
 from zendsp.cli.complaints import say
 from zendsp.cli.lines import write_anywhere
 from zendsp.errors import ZendspError
+from zendsp.here.ending import interruption
 
 LEAST_MEMORY = 512 << 20  # bytes of addresses
 
@@ -30,7 +31,9 @@ class _NoNumPy:
 
 
 def main() -> None:
-    """Run a command. Expected errors end with one sentence and exit status 2, Ctrl-C with 130."""
+    """Run a command. Expected errors end with one sentence and exit status 2, Ctrl-C with 130,
+    SIGTERM with 143.
+    """
     write_anywhere(sys.stdout)
     warnings.formatwarning = lambda message, *_, **__: f"zendsp: {message}\n"
     if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < LEAST_MEMORY:
@@ -48,8 +51,9 @@ def main() -> None:
         say(error)
         sys.exit(2)
     except (click.Abort, KeyboardInterrupt):
-        click.echo("interrupted", err=True)
-        sys.exit(130)
+        words, status = interruption()
+        click.echo(words, err=True)
+        sys.exit(status)
     except (MemoryError, ImportError) as error:
         lacking = _too_little_memory(error)
         if lacking is None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import check_writable, end_softly, json_option, out_option, wrapped
+from zendsp.cli.common import check_writable, json_option, out_option, wrapped
 from zendsp.cli.completing import experiments
 from zendsp.cli.lines import fitted
 from zendsp.errors import ModelError, RecordingError, Refused, ZendspError
@@ -74,7 +74,6 @@ def command(
         _list()
         return
     check_writable(out)
-    end_softly()
     names = list(EXPERIMENTS) if name == "all" else [_present(name)]
     if model is not None and name != "all":
         EXPERIMENTS[names[0]].check_model()

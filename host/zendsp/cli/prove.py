@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import end_softly, out_option
+from zendsp.cli.common import out_option
 from zendsp.extras import installed, need
 from zendsp.one_writer import one_writer
 
@@ -170,7 +170,6 @@ def command(
     # small matrices in many processes: more threads of the linear algebra only wait for each other
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    end_softly()
     cores = jobs or os.cpu_count() or 1
     if real or implant:
         if fetch:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit, end_softly, json_option, out_option
+from zendsp.cli.common import emit, json_option, out_option
 from zendsp_protocol.views import text_table
 
 
@@ -35,7 +35,6 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
         raise click.UsageError(
             "--out saves and frees the newest, --drop frees all without saving: give one of them"
         )
-    end_softly()
     if out is not None:
         check_suffix(out)
     found = find_salvage(target)

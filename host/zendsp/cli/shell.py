@@ -8,7 +8,8 @@ import signal
 import click
 from click.shell_completion import ShellComplete
 
-from zendsp.cli.common import ENDING, open_target, target_options
+from zendsp.cli.common import open_target, target_options
+from zendsp.here.ending import ended_by
 
 LEAVE = ("exit", "quit")
 
@@ -27,8 +28,6 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
     from zendsp.cli.commands import cli
 
     with open_target(target, connect) as t:
-        for number in ENDING:  # Ctrl-C does not leave the prompt; these do
-            signal.signal(number, signal.SIG_DFL)
         complete = ShellComplete(cli, {"obj": t}, "zendsp", "_ZENDSP_COMPLETE")
         _complete_with(complete)
         while True:
@@ -39,6 +38,8 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
                 return
             except KeyboardInterrupt:
                 click.echo()
+                if ended_by() != signal.SIGINT:  # Ctrl-C does not leave the prompt
+                    raise
                 continue
             except ValueError as error:  # a quote that does not end
                 click.echo(f"zendsp: {error}", err=True)
@@ -67,6 +68,8 @@ def run_line(words: list[str], target: object, as_json: bool) -> None:
     except (click.ClickException, ZendspError, OSError) as error:
         say(error)
     except (click.Abort, KeyboardInterrupt):
+        if ended_by() != signal.SIGINT:
+            raise
         click.echo("interrupted", err=True)
     except click.exceptions.Exit:
         return

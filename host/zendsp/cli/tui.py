@@ -16,6 +16,7 @@ import click
 from zendsp.cli.common import parse_names
 from zendsp.cli.completing import machines
 from zendsp.errors import LinkError
+from zendsp.here.ending import SOFT
 from zendsp.here.registered import CONNECT
 from zendsp_isr.parts import is_model, machine_source
 
@@ -139,7 +140,8 @@ def command(
         channels=parse_names(channels),
     )
     # started with nohup, it would look for keys in a terminal that is gone, for ever
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    for number in SOFT:
+        signal.signal(number, signal.SIG_DFL)
     app.session.stops.guard_keys(target, here=False)
     try:
         with errors_kept():

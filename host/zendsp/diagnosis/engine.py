@@ -69,11 +69,11 @@ from zendsp.prompt import shows_progress
 # s times joints: 200 s of one joint took 19 s of processor time, 1000 s 45 s, 10 000 s over 280 s
 LONG_S = 2000.0
 ENDED = (
-    "Ctrl-C ended the search: this is what was found until then; other explanations, what could"
+    "The search was interrupted: this is what was found until then; other explanations, what could"
     " have been seen and the next recording were not asked for"
 )
 ENDED_LAST = (
-    "Ctrl-C ended the diagnosis when all joints had been searched; what could have been seen and"
+    "It was interrupted when all joints had been searched; what could have been seen and"
     " the next recording were not asked for"
 )
 
@@ -309,7 +309,7 @@ def _found(
     tell: Progress,
     so_far: bool,
 ) -> tuple[Found, list[str]]:
-    """What is found, and a note where Ctrl-C ended the search (``so_far``: keep it)."""
+    """What is found, and a note where an interrupt ended the search (``so_far``: keep it)."""
     try:
         return find(signals, parts, given, jobs, tell), []
     except Stopped as stop:

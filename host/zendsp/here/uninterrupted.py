@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+from zendsp.here.ending import ENDING, interrupt
+
 PATIENCE_S = 5.0  # then Ctrl-C ends the block too: a link that hangs is left at last
 
 
@@ -31,13 +32,14 @@ def uninterrupted() -> Iterator[None]:
 
     def dropped(number: int, frame: FrameType | None) -> None:
         if time.monotonic() >= end:
-            signal.default_int_handler(number, frame)
+            interrupt(number, frame)
 
-    ours = [n for n in ENDING if signal.getsignal(n) is signal.default_int_handler]
+    acting = (signal.default_int_handler, interrupt)
+    ours = {n: now for n in ENDING if (now := signal.getsignal(n)) in acting}
     for number in ours:
         signal.signal(number, dropped)
     try:
         yield
     finally:
-        for number in ours:
-            signal.signal(number, signal.default_int_handler)
+        for number, before in ours.items():
+            signal.signal(number, before)

@@ -401,8 +401,8 @@ def _beside(d: Decision) -> float:
 
 def _not_searched(decision: Decision) -> str:
     return (
-        f"Joint {decision.joint}: it was not searched before Ctrl-C; calibrated, the model leaves"
-        f" {percent(decision.after.value)} % of its torque"
+        f"Joint {decision.joint}: it was not searched before the interrupt; calibrated, the model"
+        f" leaves {percent(decision.after.value)} % of its torque"
     )
 
 

@@ -18,7 +18,7 @@ from zendsp.physics.model import Model
 def verdict_of(
     findings: Sequence[Finding], decisions: Sequence[Decision], stopped: bool
 ) -> Verdict:
-    """The verdict; ``stopped``: Ctrl-C ended the search, so that no model is called complete."""
+    """The verdict; ``stopped``: it was interrupted, so that no model is called complete."""
     if findings:
         return Verdict.MISSING
     complete = not stopped and {d.kind for d in decisions} == {Verdict.COMPLETE}

@@ -222,7 +222,7 @@ class Diagnosis:
     test: FitTable | None = None  # on recordings that neither the fit nor any choice has touched
     # of a simulator that can only be called: its errors
     workings: Workings | SimulatorErrors | None = None
-    stopped: bool = False  # Ctrl-C ended the search; this is what was found until then
+    stopped: bool = False  # an interrupt ended the search; this is what was found until then
     # effects and joints about which the headline cannot tell
     doubted: tuple[tuple[str, int], ...] = ()
     loads: tuple[int, ...] = ()  # unexplained joints; numbers of its own explain each recording
@@ -255,7 +255,7 @@ class Diagnosis:
     def headline(self) -> str:
         """The verdict in one or two sentences, the mechanism first."""
         if self.stopped and not self.findings:
-            return "Ended by Ctrl-C before it was done: nothing is claimed."
+            return "Interrupted before it was done: nothing is claimed."
         found = [(f.word, (f.effect, *f.indistinguishable), f.joint) for f in self.findings]
         unseen = dark((x.joint, x.interval) for x in self.discrepancy)
         table, left = self.test or self.heldout, self.nameless
@@ -266,7 +266,7 @@ class Diagnosis:
             times = two_digits(table.given / table.calibrated)
             text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
         text = " ".join((*self.zeros, text))
-        return f"So far, ended by Ctrl-C: {text}" if self.stopped else text
+        return f"So far, interrupted: {text}" if self.stopped else text
 
     def report(self) -> Report:
         """report.json of the contract, as plain numbers and strings."""
@@ -377,7 +377,7 @@ class Diagnosis:
         return sentence(f"verdict: {self.verdict}") + said + numbers + fit
 
     def __str__(self) -> str:
-        lines = [f"verdict: {self.verdict}{', so far, ended by Ctrl-C' if self.stopped else ''}"]
+        lines = [f"verdict: {self.verdict}{', so far, interrupted' if self.stopped else ''}"]
         lines += [f"  {f.sentence} (confidence {100 * f.confidence:.0f} %)" for f in self.findings]
         lines += [f"  {words}" for words in self.unexplained.splitlines()]
         own, shares = self.errors[0], ((x.joint, x.share) for x in self.discrepancy)

@@ -23,8 +23,8 @@ from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import kernel_model
 
 ENDED_ANEW = (
-    "Ctrl-C ended the diagnosis when it had begun once more; a wrong body inside the simulator was"
-    " not asked for"
+    "The diagnosis was interrupted when it had begun once more; a wrong body inside the simulator"
+    " was not asked for"
 )
 
 BY_OUTPUT = (

@@ -92,7 +92,7 @@ def write_report(
 def no_reference(d: Diagnosis) -> str:
     """The reason that no next_reference.mat is written; empty where one is."""
     if d.stopped:
-        return "it was not asked for after Ctrl-C"
+        return "it was not asked for after the interrupt"
     if d.next_recording is None and not d.doubted:
         open_ = "what is left has no name, and no rival to be told from"
         return open_ if d.nameless else "nothing is left open"
