@@ -9,6 +9,11 @@ from zendsp.link.way_back import said, way_back
 from zendsp_protocol.messages import Condition, DriveStatus, Status, Trip
 
 LOST = Trip("host lost", tick=7, text="the host that commanded the motion is gone")
+OUT = Trip("position", 1, 7, 1.2, 1.0, cause="it is beyond the limit")
+NO_MOTOR = Trip("torque", 2, 7, 0.5, 0.0, cause="the code writes to a joint without a motor")
+NO_JOINT = Trip("command", 3, 7, 50.0, 0.0, cause="the code writes to joint 3")
+NO_NUMBER = Trip("nan", 1, 7, float("nan"), 0.0, cause="the code computed nan")
+TOO_MUCH = Trip("torque", 1, 7, 5.0, 4.0, cause="it exceeds the limit")
 
 
 def conditions(**unmet: str) -> tuple[Condition, ...]:
@@ -33,6 +38,18 @@ def conditions(**unmet: str) -> tuple[Condition, ...]:
         ("loaded", None, "ready", False, {"homed": "x"}, ("home", "enable", "start")),
         ("loaded", None, "off", True, {"power": "x"}, ("power", "enable", "start")),
         ("crashed", None, "ready", False, {"program": "x", "homed": "x"}, ("build", "start")),
+        ("stopped", OUT, "tripped", False, {"no_trip": "x"},
+         ("acknowledge", "home", "enable", "start")),
+        ("stopped", OUT, "tripped", True, {"no_trip": "x", "homed": "x"},
+         ("acknowledge", "home", "enable", "start")),
+        # it would do the same again
+        ("stopped", NO_MOTOR, "tripped", False, {"no_trip": "x"},
+         ("acknowledge", "change the program", "build", "start")),
+        ("stopped", NO_JOINT, "tripped", True, {"no_trip": "x"},
+         ("acknowledge", "change the program", "build", "enable", "start")),
+        ("stopped", NO_NUMBER, "tripped", False, {"no_trip": "x"},
+         ("acknowledge", "change the program", "build", "start")),
+        ("stopped", TOO_MUCH, "tripped", False, {"no_trip": "x"}, ("acknowledge", "start")),
         # it went on while the drives were off
         ("running", None, "homed", True, {}, ("pause", "enable", "start")),
         (
@@ -60,6 +77,28 @@ def test_taking_the_right_to_command_comes_first_and_a_held_program_is_told_to_g
     assert said(("go_on",), "imi", "tls/lab:7447") == (
         "zendsp set hold=false -t imi --connect tls/lab:7447"
     )
+
+
+@pytest.mark.parametrize(
+    ("trip", "explicit", "empty", "end"),
+    [
+        (OUT, False, False, "home, enable and start again"),
+        (LOST, False, False, "start again"),
+        (LOST, True, False, "enable and start again"),
+        (LOST, True, True, "load a program, enable and start it"),
+        (NO_MOTOR, False, False, "change the program, load it and start it"),
+    ],
+)
+def test_the_sentence_on_a_trip_names_the_same_steps(
+    trip: Trip, explicit: bool, empty: bool, end: str
+) -> None:
+    """It said "start again" where the line *next* said to home first."""
+    status = Status("empty" if empty else "stopped", drive="tripped", trip=trip)  # type: ignore[arg-type]
+    now = DriveStatus(state="tripped", explicit=explicit, conditions=conditions(no_trip="x"))  # type: ignore[arg-type]
+    said = trouble(status, now)
+    assert said.endswith(f"'zendsp drive acknowledge' or acknowledge(), then {end}")
+    if not explicit:
+        assert trouble(status) == said, "all of it follows from the trip"
 
 
 @pytest.mark.parametrize("text", ["too fast (sample 7); outputs are safe", "in other words"])

@@ -25,6 +25,7 @@ from zendsp_protocol.values import Assignable, Packed, from_wire
 
 if TYPE_CHECKING:
     from zendsp.link import Target
+    from zendsp_protocol import messages as m
 
 _UNIT = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*[^\W\d_]")  # a number, a letter
 F = TypeVar("F", bound=Callable[..., Any])
@@ -113,13 +114,12 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
             raise
         return
     from zendsp.link import connect
-    from zendsp.link.programs import trouble
 
     with connect(name, endpoint) as target:
         target.programs.outlives = False  # a command says how it leaves the machine
         refused, cut_short, old = "", False, ""
         with suppress(ZendspError):
-            old = trouble(target.status())
+            old = trouble_of(target)[1]
         try:
             yield target
         except (KeyboardInterrupt, LinkError):
@@ -139,17 +139,22 @@ def _say_trouble(target: Target, refused: str, old: str) -> None:
     """Say what is latched or crashed at the end of a command that was ``refused`` for this reason;
     not what is ``old`` then, unless that is the reason.
     """
-    from zendsp.link.programs import trouble
-
     said, latched = "", False
     with suppress(ZendspError):  # it went away at this moment: the command itself is told so
-        status = target.status()
-        said = trouble(status)
+        status, said = trouble_of(target)
         latched = status.trip is not None and f"{status.trip.text}: " in refused
     if said and (latched or not refused or said != old):
         _say_of(target, said)
     if said and latched:
         raise click.exceptions.Exit(2)  # it was refused for that: once is enough
+
+
+def trouble_of(target: Target) -> tuple[m.Status, str]:
+    """The status of a target; what is latched or crashed there, and what to do next."""
+    from zendsp.link.programs import trouble
+
+    status = target.status()
+    return status, trouble(status, target.drive_status() if status.trip is not None else None)
 
 
 def _say_of(target: Target, words: str) -> None:
@@ -161,7 +166,8 @@ def how_left(target: Target) -> str:
     from zendsp.link.programs import left
 
     with suppress(ZendspError, KeyboardInterrupt):  # of somebody who waits no longer
-        return left(target.status())
+        status = target.status()
+        return left(status, target.drive_status() if status.trip is not None else None)
     safe = target.link.farewell()
     if safe:
         return "the target has ended; as it said, its machine is in its safe state"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.common import emit, open_target, target_options, trouble_of
 from zendsp.cli.completing import variables
 from zendsp.cli.lines import fitted
 from zendsp_protocol.states import ProgramState
@@ -128,9 +128,7 @@ def _waiting(target: Target, view: LiveView) -> str:
 
 def _trouble(target: Target, told: str, begin: str = "") -> str:
     """What stopped the program, which is said once; an error says that the target is gone."""
-    from zendsp.link.programs import trouble
-
-    said = trouble(target.status())
+    said = trouble_of(target)[1]
     if said not in ("", told):
         click.echo(begin + fitted(f"zendsp: {target.name}: {said}", sys.stderr), err=True)
     return said

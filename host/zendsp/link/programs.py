@@ -13,6 +13,7 @@ from zendsp.here.stop_page import StopPage, find
 from zendsp.here.stopped import TAKEN_S, at_rest, stopped_at
 from zendsp.link import left_moving
 from zendsp.link.requests import Part
+from zendsp.link.way_back import after
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import DriveState, ProgramState, TripReason
 
@@ -119,7 +120,8 @@ class Programs(Part):
         if status.state == ProgramState.CRASHED:
             raise RunnerDied(f"started, and {trouble(status)}")
         if status.trip is not None:
-            raise Tripped(f"started, and {trouble(status)}")
+            drive: m.DriveStatus = self.request("drive_status")
+            raise Tripped(f"started, and {trouble(status, drive)}")
 
     def begin(self, ticks: int | None = None, attended: bool = False) -> None:
         """As `start`, but without looking at the first samples: the caller does."""
@@ -337,9 +339,9 @@ class Programs(Part):
             pause = min(POLL_LAST_S, pause * 1.5)
 
 
-def trouble(status: m.Status) -> str:
+def trouble(status: m.Status, drive: m.DriveStatus | None = None) -> str:
     """A line on a program that has crashed, or on a STOP or trip that is latched, and what to do
-    next; else ``""``.
+    next, which ``drive`` of the same moment tells more exactly; else ``""``.
     """
     if status.state == ProgramState.CRASHED:
         why = f"the program crashed: {status.crash}"
@@ -359,18 +361,16 @@ def trouble(status: m.Status) -> str:
         looped = trip.tick or trip.reason not in (TripReason.STOP, TripReason.HOST_LOST)
         when = f" (sample {trip.tick})" if looped else ""
         cause = f"{trip.cause or trip.reason}{when}"
-        empty = status.state == ProgramState.EMPTY
-        again = "load a program and start it" if empty else "start again"
         return (
             f"{what}: {cause}; outputs are safe; 'zendsp drive acknowledge' or acknowledge(), then"
-            f" {again}"
+            f" {after(status, drive)}"
         )
     return ""
 
 
-def left(status: m.Status) -> str:
+def left(status: m.Status, drive: m.DriveStatus | None = None) -> str:
     """A line on the state in which the machine was left by a motion that ended early."""
-    if said := trouble(status):
+    if said := trouble(status, drive):
         return said
     if status.state == ProgramState.RUNNING:
         return (

@@ -5,7 +5,7 @@ at the beginning.
 from __future__ import annotations
 
 from zendsp_protocol import messages as m
-from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.states import DriveState, ProgramState, TripReason
 
 # a step by the name of the terminal's action, and the command that takes it; any other step is a
 # sentence
@@ -20,11 +20,17 @@ COMMANDS = {
     "start": "zendsp run",
     "go_on": "zendsp set hold=false",
 }
+# of them all, after `acknowledge` in a sentence
+WORDS = {
+    "command": "take the right to command", "build": "load a program",
+    "power": "switch the power on", "home": "home", "enable": "enable", "start": "start again",
+}  # fmt: skip
+CHANGE = "change the program"  # which would do the same again
 HOLD = "hold"  # the parameter by which a lost host, or an abort, brings a program to rest
 
 
 def way_back(
-    status: m.Status, drive: m.DriveStatus, me: str = "", held: bool = False
+    status: m.Status, drive: m.DriveStatus | None, me: str = "", held: bool = False
 ) -> tuple[str, ...]:
     """The steps in their order, as names in `COMMANDS` or as sentences; none where the program
     runs.
@@ -32,15 +38,18 @@ def way_back(
     Parameters
     ----------
     status : Status
-    drive : DriveStatus
-        Of the same moment.
+    drive : DriveStatus, optional
+        Of the same moment. None where it is not known: the drives are taken for automatic ones
+        that only the trip keeps from running.
     me : str
         The host that asks: it need not take the right to command from itself.
     held : bool
         Whether the program's parameter ``hold`` is set.
     """
+    drive = drive or m.DriveStatus(state=status.drive)
     unmet = {c.name: c.advice for c in drive.conditions if not c.met}
-    there = "program" not in unmet
+    gone = status.state in (ProgramState.EMPTY, ProgramState.CRASHED)
+    there = "program" not in unmet and not gone
     running = status.state == ProgramState.RUNNING and status.trip is None
     off = drive.explicit and drive.state in (DriveState.OFF, DriveState.READY, DriveState.HOMED)
     if running and not off:
@@ -50,8 +59,10 @@ def way_back(
         outside = status.trip is not None and status.trip.reason == "position"
         home = there and (outside or "homed" in unmet)
         enable = (drive.explicit or home) and drive.state != DriveState.ENABLED
+        change = there and status.trip is not None and _by_the_code(status.trip)
         needed = {
-            "acknowledge": status.trip is not None, "pause": running, "build": not there,
+            "acknowledge": status.trip is not None, "pause": running, CHANGE: change,
+            "build": change or not there,
             "power": "power" in unmet, "home": home, "enable": enable, "start": True,
         }  # fmt: skip
         # what no command can solve comes first: nothing else is granted before
@@ -59,6 +70,31 @@ def way_back(
         steps = first * there + [name for name, yes in needed.items() if yes]
     other = drive.commander not in ("", me)
     return tuple(["command"] * bool(steps and other) + steps)
+
+
+def _by_the_code(trip: m.Trip) -> bool:
+    """Whether the code wrote what is no command: no number, or to an output that the machine has
+    not, which has no limit.
+    """
+    nowhere = trip.reason in (TripReason.TORQUE, TripReason.COMMAND) and trip.limit == 0.0
+    return nowhere or trip.reason == TripReason.NAN
+
+
+def after(status: m.Status, drive: m.DriveStatus | None) -> str:
+    """What is to be done once a trip is acknowledged, as the end of a sentence.
+
+    Examples
+    --------
+    >>> after(m.Status("stopped", trip=m.Trip("position")), None)
+    'home, enable and start again'
+    """
+    steps = [step for step in way_back(status, drive) if step in WORDS or step == CHANGE]
+    own = {"start": "start it"} if "build" in steps else {}
+    if CHANGE in steps:
+        own["build"] = "load it"
+    words = [own.get(step) or WORDS.get(step, step) for step in steps]
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def said(steps: tuple[str, ...], target: str = "", connect: str | None = None) -> str:
