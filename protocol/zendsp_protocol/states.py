@@ -36,6 +36,7 @@ class TripReason(_State):
     SENSOR = "sensor"
     HOMING = "homing"
     STALL = "stall"
+    OUTSIDE = "outside"  # the code names a channel or joint that is not there
     OTHER = "other"  # told by a newer target: what it is stands in the sentence
 
     @classmethod

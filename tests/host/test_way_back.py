@@ -11,6 +11,7 @@ from zendsp_protocol.messages import Condition, DriveStatus, Status, Trip
 LOST = Trip("host lost", tick=7, text="the host that commanded the motion is gone")
 OUT = Trip("position", 1, 7, 1.2, 1.0, cause="it is beyond the limit")
 NO_MOTOR = Trip("torque", 2, 7, 0.5, 0.0, cause="the code writes to a joint without a motor")
+NOT_THERE = Trip("outside", 0, 7, 1.0, 1.0, cause="the code names a joint that is not there")
 NO_JOINT = Trip("command", 3, 7, 50.0, 0.0, cause="the code writes to joint 3")
 NO_NUMBER = Trip("nan", 1, 7, float("nan"), 0.0, cause="the code computed nan")
 TOO_MUCH = Trip("torque", 1, 7, 5.0, 4.0, cause="it exceeds the limit")
@@ -48,6 +49,8 @@ def conditions(**unmet: str) -> tuple[Condition, ...]:
         ("stopped", NO_JOINT, "tripped", True, {"no_trip": "x"},
          ("acknowledge", "change the program", "build", "enable", "start")),
         ("stopped", NO_NUMBER, "tripped", False, {"no_trip": "x"},
+         ("acknowledge", "change the program", "build", "start")),
+        ("stopped", NOT_THERE, "tripped", False, {"no_trip": "x"},
          ("acknowledge", "change the program", "build", "start")),
         ("stopped", TOO_MUCH, "tripped", False, {"no_trip": "x"}, ("acknowledge", "start")),
         # it went on while the drives were off

@@ -115,6 +115,16 @@ def test_acquire_in_the_code_fixes_the_moment_of_the_row(pendulum: object) -> No
     assert np.all(rec["a"] == 1.0)
 
 
+def test_a_joint_that_the_model_has_not_is_told(pendulum: object) -> None:
+    def told(body: str) -> list[str]:
+        rec = simulate(program(body), pendulum, seconds=0.1)  # type: ignore[arg-type]
+        return list(rec.extra["simulation"]["beyond"])
+
+    (said,) = told("if (SAMPLE_TICK == 7) a = READ_POSITION(1);")
+    assert "names joint or channel [1], counted from 0, and pendulum has 1 joint" in said
+    assert not told("a = READ_POSITION(0);")
+
+
 @pytest.mark.parametrize(
     ("body", "words"),
     [

@@ -280,6 +280,42 @@ def test_a_torque_to_a_joint_that_takes_a_voltage_trips_and_names_what_it_takes(
     assert "1e-06 N m to joint 1, which takes a voltage: IOGP_FU1_WRITE_AOUT_ENGU(0)" in trip.text
 
 
+READS = """
+#include "isr.h"
+static int32_t j;
+static double got;
+void UserInit(void) { PARAMETER(j, 0, "", -100, 100, ""); SIGNAL(got, "rad", ""); }
+void UserISR_INT2(void) { got = %s; }
+"""
+
+
+@pytest.mark.parametrize(
+    ("code", "index", "named"),
+    [
+        ("READ_POSITION(1)", 0, 1),
+        ("READ_POSITION(j)", 1, 1),
+        ("READ_POSITION(j)", 8, 8),  # not joint 0 once more
+        ("READ_POSITION(j)", -1, -1),
+        ("IOGP_FU1_READ_ADC(j)", 9, 9),
+        ("(WRITE_TORQUE(j, 0.0), 0.0)", 16, 16),
+    ],
+)
+def test_a_joint_that_is_read_and_is_not_there_trips_and_is_named(
+    make_runtime: Callable[..., Runtime], code: str, index: int, named: int
+) -> None:
+    """It was a joint that stands at 0, or another one."""
+    runtime = make_runtime(READS % code, machine="pendulum")
+    if "j" in code:
+        run(runtime, 20)
+        assert runtime.status().trip is None
+        runtime.write({"j": index}, "test")
+    run(runtime, 20)
+    trip = runtime.status().trip
+    assert trip is not None and trip.reason == "outside"
+    said = f"the code names joint or channel [{named}], counted from 0, which is not there"
+    assert said in trip.text and "this machine has 1 joint" in trip.text
+
+
 @pytest.mark.parametrize(
     "call", ["WRITE_TORQUE(8, 1.0)", "IOGP_FU1_WRITE_AOUT_ENGU(-1) = 1.0", "READ_POSITION(64)"]
 )

@@ -82,13 +82,11 @@ typedef struct table {
 #define IOGP_FU1_WRITE_DOUT(ch, on)                                                                \
     (zendsp->dout = (on) ? zendsp->dout | 1u << ((ch) & 31) : zendsp->dout & ~(1u << ((ch) & 31)))
 
-/* The same in physical units, by the scales of the machine: rad (or m), N m (or N). A torque other
- * than 0 to a joint that takes none (its command is a voltage, or it has no motor) trips. */
-#define READ_POSITION(ch)                                                                          \
-    ((zendsp->enc[ZENDSP_CH(ch)] - zendsp->zero_counts[(ch) & 7]) /                                \
-     zendsp->counts_per_unit[(ch) & 7])
-#define WRITE_TORQUE(ch, tau)                                                                      \
-    (zendsp->aout[ZENDSP_CH(ch)] = (tau) * zendsp->mv_per_torque[(ch) & 7])
+/* The same in physical units, by the scales of the machine: rad (or m), N m (or N). To read a joint
+ * that the machine has not trips, and so does a torque other than 0 to a joint that takes none (its
+ * command is a voltage, or it has no motor). */
+#define READ_POSITION(ch) (zendsp_position(ZENDSP_CH(ch)))
+#define WRITE_TORQUE(ch, tau) (zendsp_torque(ZENDSP_CH(ch), tau))
 
 /* What the machine says of a joint: its largest torque, N m (or N; 0 without a motor), and what it
  * turns, kg m^2 (or kg; 0 where it does not say). */
@@ -129,7 +127,7 @@ static inline double TableValue(const table *source, double row, int32_t column)
 
 /* ---- Beneath: how the macros reach the runtime ----------------------------------------------- */
 
-enum { ZENDSP_ISR_ABI = 3 }; /* raised when anything below changes; checked at load */
+enum { ZENDSP_ISR_ABI = 4 }; /* raised when anything below changes; checked at load */
 enum { ZENDSP_PARAMETER = 1, ZENDSP_SIGNAL = 2, ZENDSP_TABLE = 3 };
 enum { ZENDSP_DOUBLE = 1, ZENDSP_FLOAT = 2, ZENDSP_INT32 = 3, ZENDSP_BOOL = 4 };
 
@@ -152,7 +150,8 @@ typedef struct zendsp_io {
     double adc[8], aout[8];
     double counts_per_unit[8], zero_counts[8], mv_per_torque[8];
     double torque_max[8], inertia[8];
-    int32_t first, reserved;
+    int32_t first;
+    int32_t outside; /* 0, or a channel or joint that is not there: from 1, or as it is below 0 */
     void (*declare)(const zendsp_declaration *declaration);
     void (*acquire)(void);
 } zendsp_io;
@@ -165,10 +164,28 @@ __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZEND
 #define ZENDSP_AOUT(ch) (zendsp->aout[ZENDSP_CH(ch)])
 #define ZENDSP_AOUT_SET(ch, mv) (zendsp->aout[ZENDSP_CH(ch)] = (mv))
 
-/* A channel within the arrays; a constant that no machine has does not compile. */
+/* A channel within the arrays; a constant that no machine has does not compile, a computed one
+ * trips. */
 #define ZENDSP_CH(ch)                                                                              \
-    (__builtin_constant_p(ch) && ((ch) & ~7) != 0 ? zendsp_no_such_channel() : (int32_t)((ch) & 7))
+    (__builtin_constant_p(ch) && ((ch) & ~7) != 0 ? zendsp_no_such_channel()                       \
+                                                  : zendsp_channel((int32_t)(ch)))
 __attribute__((error("channels and joints are 0 to 7"))) int32_t zendsp_no_such_channel(void);
+
+static inline int32_t zendsp_channel(int32_t ch) {
+    if ((ch & ~7) != 0)
+        zendsp->outside = ch < 0 ? ch : ch + (ch < INT32_MAX);
+    return ch & 7;
+}
+
+static inline double zendsp_position(int32_t joint) {
+    if (joint >= zendsp->joints && zendsp->outside == 0)
+        zendsp->outside = joint + 1;
+    return (zendsp->enc[joint] - zendsp->zero_counts[joint]) / zendsp->counts_per_unit[joint];
+}
+
+static inline double zendsp_torque(int32_t joint, double torque) {
+    return zendsp->aout[joint] = torque * zendsp->mv_per_torque[joint];
+}
 
 /* Type of a number, of an array's elements, or of a matrix's: that of its first row's. */
 #define ZENDSP_TYPE(variable)                                                                      \

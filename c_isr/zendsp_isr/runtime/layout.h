@@ -21,7 +21,7 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 9,
+    LAYOUT_VERSION = 10,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     STOP_PAGE_VERSION = 3, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
@@ -79,7 +79,8 @@ enum {
     TRIP_SENSOR = 10,
     TRIP_HOMING = 11,
     TRIP_UNWATCHED = 12, /* s that the monitor stood still: it may have missed a host's loss */
-    TRIP_STALL = 13      /* s that the loop stood still on hardware */
+    TRIP_STALL = 13,     /* s that the loop stood still on hardware */
+    TRIP_OUTSIDE = 14    /* the code names a channel or joint that is not there: its index */
 };
 
 /* STOP past the monitor and the link: docs/protocol.md describes it for other languages. Made by

@@ -304,6 +304,11 @@ void safety_command(runner *r) {
     for (int j = c->info.joints; j < MACHINE_JOINTS && enabled; j++)
         if (!(r->buffers.io.aout[j] == 0.0)) /* NaN as well */
             safety_trip(r, TRIP_COMMAND, j + 1, r->buffers.io.aout[j], 0.0);
+    const int32_t outside = r->buffers.io.outside;
+    if (outside != 0) {
+        safety_trip(r, TRIP_OUTSIDE, 0, outside > 0 ? outside - 1 : outside, c->info.joints);
+        r->buffers.io.outside = 0;
+    }
     r->buffers.io.first = 0;
     if (r->state.run_in > 0)
         r->state.run_in--;

@@ -60,8 +60,8 @@ class Timing(Message, frozen=True):
 class Trip(Message, frozen=True):
     """Why the drive tripped."""
 
-    # stop, stop input, host lost, torque, speed, position, command, nan, overrun, sensor, homing
-    # or stall
+    # stop, stop input, host lost, torque, speed, position, command, nan, overrun, sensor, homing,
+    # stall or outside
     reason: TripReason
     joint: int = 0  # from 1; 0 where none
     tick: int = 0  # sample at which it happened

@@ -13,6 +13,7 @@ from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import JointInfo, Limits, MachineInfo, Timing, Trip
 from zendsp_protocol.states import DriveMode, OverrunPolicy, TripReason
 from zendsp_protocol.stop_page import signature
+from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import layout, text_of
 
@@ -24,6 +25,7 @@ _REASONS = {
     **dict(enumerate(tuple(TripReason)[:11], 1)),
     _UNWATCHED: TripReason.HOST_LOST,
     13: TripReason.STALL,
+    14: TripReason.OUTSIDE,
 }
 REQUESTS = {TripReason.STOP: 1, TripReason.HOST_LOST: 3}
 _ASKED = {
@@ -98,6 +100,11 @@ def _by(who: bytes) -> str:
 def _cause(
     machine: MachineInfo, reason: TripReason, joint: int, value: float, limit: float
 ) -> str:
+    if reason == TripReason.OUTSIDE:
+        return (
+            f"the code names joint or channel [{value:.0f}], counted from 0, which is not there:"
+            f" this machine has {counted(len(machine.joints), 'joint')}"
+        )
     if joint > len(machine.joints):
         return (
             f"the code writes to joint {joint}, which this machine has not: it has"

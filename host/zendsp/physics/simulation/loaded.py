@@ -65,6 +65,7 @@ class Outcome:
     ticks: int
     wanted: int
     reached: tuple[Reached, ...]
+    outside: int  # as of `zendsp_io` in isr.h
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,10 @@ class LoadedProgram:
             block = out[:, first : first + width]
             found[name] = np.ascontiguousarray(block[:, 0] if width == 1 else block)
             first += width
-        return Outcome(found, units, self._parameters(), done, ticks, self._reached())
+        outside = int(self.host.io.outside)
+        return Outcome(
+            found, units, self._parameters(), done, ticks, self._reached(), outside
+        )
 
     def _reached(self) -> tuple[Reached, ...]:
         host, limits = self.host, self.plant.config.limit

@@ -65,7 +65,7 @@ typedef struct { const void *address; int32_t type, pad; } host_channel;
 typedef struct {
     struct { uint64_t tick; double t, period; int32_t joints, enabled; uint32_t din, dout; int32_t enc[8]; double adc[8], aout[8];
              double counts_per_unit[8], zero_counts[8], mv_per_torque[8];
-             double torque_max[8], inertia[8]; int32_t first, reserved;
+             double torque_max[8], inertia[8]; int32_t first, outside;
              void *declare; void *acquire; } io;
     double measured[8], q[8], qd[8], torque[8];
     double tick, t, enc[8];

@@ -27,7 +27,7 @@ from zendsp.recording.names import gather_vectors
 from zendsp.recording.notes import Extra, Halving, StepCheck
 from zendsp.reference import Reference, check_fits, load_reference
 from zendsp_isr.sources import Source
-from zendsp_protocol.texts import joint_units
+from zendsp_protocol.texts import counted, joint_units
 from zendsp_protocol.values import Assignable
 
 Array = npt.NDArray[np.float64]
@@ -204,6 +204,12 @@ def beyond(model: Model, outcome: Outcome) -> list[str]:
         said.append(
             f"the program commands joint {', '.join(more)}; {model.name} has {n}. Is it a program"
             " for another machine?"
+        )
+    elif outcome.outside:
+        named = outcome.outside - (outcome.outside > 0)
+        said.append(
+            f"the program names joint or channel [{named}], counted from 0, and {model.name} has"
+            f" {counted(n, 'joint')}. A target would stop the machine"
         )
     return said
 
