@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from steps import Until, nobody
+from textual.widgets import Button
 
 from zendsp.link import programs
 from zendsp.tui.actions import ACTIONS, SCREENS, actions, in_keys, keys_of
@@ -17,6 +18,7 @@ from zendsp.tui.app import ZendspApp
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Message
 from zendsp.tui.footer import Keys
+from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.playing import Setup
 from zendsp.tui.preflight import preflight
 from zendsp.tui.screens.base import LabScreen
@@ -128,6 +130,21 @@ async def test_a_click_on_a_key_of_the_footer_presses_it_and_the_mouse_over_it_t
         assert isinstance(app.screen, LabScreen), "between two keys is none"
         await pilot.click(Keys, offset=(columns.start, 0))
         await until(pilot, lambda: isinstance(app.screen, Message), f"{key.description} is shown")
+
+
+async def test_the_key_that_enables_is_called_by_what_it_would_do_now(
+    app: ZendspApp, until: Until
+) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = app.screen
+        assert isinstance(screen, LabScreen)
+        panel, keys = screen.query_one(DrivePanel), screen.query_one(Keys)
+        for drive, word in (("homed", "Enable"), ("running", "Disable"), ("tripped", "Enable")):
+            seen = Snapshot(link="up", state="loaded", drive=drive)  # type: ignore[arg-type]
+            app.session.snapshot = seen
+            await until(pilot, lambda w=word: f"e {w} " in keys.render().plain, f"{drive}: {word}")  # type: ignore[misc]
+            panel.show(seen)
+            assert str(panel.query_one("#step-enable", Button).label) == f"{word} e"
 
 
 async def test_the_footer_tells_key_from_words_in_every_theme_of_zendsp(

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from textual.binding import Binding, BindingType
 
+from zendsp.tui.snapshot import Snapshot
+
 SCREENS = ("console", "execute", "reference", "diagnose")
 
 
@@ -236,6 +238,11 @@ def bindings(scope: str) -> list[BindingType]:
         )
         for a in actions(scope)
     ]
+
+
+def called_now(snapshot: Snapshot) -> dict[str, str]:
+    """What the keys that switch something on or off would do now, by the name of the action."""
+    return {"enable": "Disable" if snapshot.enabled else "Enable"}
 
 
 def keys_of(steps: Sequence[str], words: bool = False) -> str:

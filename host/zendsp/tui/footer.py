@@ -6,7 +6,8 @@ change of focus. That took a third of the terminal's processor time while keys w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import ClassVar
 
@@ -52,6 +53,7 @@ class Keys(Widget):
     def __init__(self) -> None:
         super().__init__()
         self._every: list[Key] = []
+        self._called: Mapping[str, str] = {}
         self._under: Key | None = None  # the mouse
 
     def on_mount(self) -> None:
@@ -71,17 +73,29 @@ class Keys(Widget):
             self._every = [*every.values()]
             self.refresh()
 
+    def call(self, called: Mapping[str, str]) -> None:
+        """Show these words for these actions, which do not always do what the table calls them."""
+        if called != self._called:
+            self._called = called
+            self.refresh()
+
+    @property
+    def _keys(self) -> list[Key]:
+        called = self._called
+        return [replace(k, description=called.get(k.action, k.description)) for k in self._every]
+
     @property
     def shown(self) -> dict[Key, range]:
         """The keys that are shown, with the columns that each takes."""
         room = self.size.width + 1  # nothing is beside the last one
         kept: set[Key] = set()
-        for key in sorted(self._every, key=self._rank):
+        every = self._keys
+        for key in sorted(every, key=self._rank):
             room -= key.width + 1
             if room < 0:
                 break
             kept.add(key)
-        keys = [key for key in self._every if key in kept]
+        keys = [key for key in every if key in kept]
         ends = accumulate((key.width + 1 for key in keys), initial=0)
         return {key: range(at, at + key.width) for key, at in zip(keys, ends, strict=False)}
 

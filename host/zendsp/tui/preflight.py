@@ -123,7 +123,7 @@ def _drives(s: Snapshot) -> list[Condition]:
         *(Condition(in_keys(str(joint)), True, warning=True) for joint in s.outside),
         Condition(
             "drives enabled",
-            s.explicit and s.drive in (DriveState.ENABLED, DriveState.RUNNING),
+            s.explicit and s.enabled,
             f"on Console (F2): {_steps(s)}",
         ),
         Condition(

@@ -129,6 +129,11 @@ class Snapshot:
         return self.exec_max_ns * 1e-9 * self.rate_hz
 
     @property
+    def enabled(self) -> bool:
+        """Whether the drives act on what a program commands."""
+        return self.drive in (DriveState.ENABLED, DriveState.RUNNING)
+
+    @property
     def period_s(self) -> float:
         """Sample time, s."""
         return 1.0 / self.rate_hz if self.rate_hz else 0.001

@@ -11,7 +11,7 @@ from textual.containers import Horizontal, Vertical
 from textual.widgets import Button
 
 from zendsp.link.joints import percent, share_of_range
-from zendsp.tui.actions import in_keys, keys_of
+from zendsp.tui.actions import called_now, in_keys, keys_of
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import LinkState, Snapshot
@@ -20,13 +20,13 @@ from zendsp_protocol.states import LATCHED, DriveState, ProgramState
 A_LINE = 4  # positions, with their unit, that have room beside the scope on 120 columns
 NEAR = 0.9  # share of its range from which a joint is near a limit
 LADDER = ("off", "ready", "homed", "enabled", "running")
-STEPS = (
-    ("power", "Power o"),
-    ("home", "Home h"),
-    ("enable", "Enable e"),
-    ("start", "Start s"),
-    ("pause", "Pause p"),
-)
+STEPS = {
+    "power": "Power o",
+    "home": "Home h",
+    "enable": "Enable e",
+    "start": "Start s",
+    "pause": "Pause p",
+}
 
 
 class DrivePanel(Vertical):
@@ -46,7 +46,7 @@ class DrivePanel(Vertical):
     def compose(self) -> ComposeResult:
         yield self._ladder
         with Horizontal(id="drive-buttons"):
-            for name, text in STEPS:
+            for name, text in STEPS.items():
                 yield Button(text, id=f"step-{name}", compact=True)
         yield self._flags
 
@@ -58,6 +58,11 @@ class DrivePanel(Vertical):
 
     def show(self, s: Snapshot) -> None:
         """Paint a snapshot."""
+        for name, word in called_now(s).items():
+            button = self.query_one(f"#step-{name}", Button)
+            label = f"{word} {STEPS[name].split()[-1]}"
+            if str(button.label) != label:
+                button.label = label
         self._ladder.update(self.ladder(s))
         self._flags.update(self.flags(s))
 

@@ -15,7 +15,7 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.screen import Screen
 
-from zendsp.tui.actions import actions
+from zendsp.tui.actions import actions, called_now
 from zendsp.tui.footer import Keys
 from zendsp.tui.lab import Lab
 from zendsp.tui.panels.events import EventsPanel
@@ -42,6 +42,7 @@ class LabScreen(Screen[None]):
     def __init__(self) -> None:
         super().__init__()
         self.bar = StatusBar(self.NAME)
+        self.footer = Keys()
         self._pulled: Snapshot | None = None
         self._shown_at = 0.0  # of the monotonic clock
 
@@ -58,7 +59,7 @@ class LabScreen(Screen[None]):
     def compose(self) -> ComposeResult:
         yield self.bar
         yield from self.body()
-        yield Keys()
+        yield self.footer
 
     def body(self) -> ComposeResult:
         """Yield the widgets between the status bar and the footer."""
@@ -94,6 +95,7 @@ class LabScreen(Screen[None]):
             self._pulled, self._shown_at = snapshot, now
         session = self.lab.session
         self.bar.show(self._pulled or snapshot, session.stops.verdict, session.busy)
+        self.footer.call(called_now(snapshot))
         self.pull(snapshot, fresh)
         for scope in self._scopes:
             if scope.is_on_screen:

@@ -75,8 +75,8 @@ class ProgramActions(LabScreen):
 
     def action_enable(self) -> None:
         """Enable or disable."""
-        enabled = self.lab.session.snapshot.drive in (DriveState.ENABLED, DriveState.RUNNING)
-        action = DriveAction.DISABLE if enabled else DriveAction.ENABLE
+        on = self.lab.session.snapshot.enabled
+        action = DriveAction.DISABLE if on else DriveAction.ENABLE
         self.lab.drive(action, action)
 
     def action_start(self) -> None:
