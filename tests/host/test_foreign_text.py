@@ -201,6 +201,51 @@ def test_blanks_part_columns_where_nothing_else_does(tmp_path: Path, head: str) 
         read_table(path)
 
 
+PREFACE = "Device: bench 3\nOperator: Anna\n\nRate [Hz];1000\n"
+
+
+@pytest.mark.parametrize(
+    ("head", "rows"),
+    [
+        ("t [s];q [rad];u [N m]\n", "0,000;0,1;1,5\n0,001;0,2;1,6\n0,002;0,3;1,7\n"),
+        ("t;q;u\ns;rad;N m\n", "0,000;0,1;1,5\n0,001;0,2;1,6\n0,002;0,3;1,7\n"),
+        ("t [s],q [rad],u [N m],\n", "0.000,0.1,1.5,\n0.001,0.2,1.6,\n0.002,0.3,1.7,\n"),
+        (
+            "t\tq [rad]\tu [N m]\n",
+            "10:00:00.000\t0.1\t1.5\n10:00:00.001\t0.2\t1.6\n10:00:00.002\t0.3\t1.7\n",
+        ),
+    ],
+)
+def test_lines_above_the_header_are_passed_over_and_told(
+    tmp_path: Path, head: str, rows: str
+) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(PREFACE + head + rows)
+    table = read_table(path)
+    assert list(table.columns) == ["t", "q", "u"] and table.units["q"] == "rad"
+    np.testing.assert_allclose(table["t"], [0.0, 0.001, 0.002], atol=1e-12)
+    np.testing.assert_allclose(table["u"], [1.5, 1.6, 1.7])
+    assert table.notes[0] == "4 lines above the names of the columns passed over"
+    path.write_text(head + rows)
+    assert not any("passed over" in note for note in read_table(path).notes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Rate;1000\nt;q\n0;0,1\n1;0,2\n2;0,3\n",  # either line may name the columns
+        "Bench\nfirst;second\nt;q\n0;0,1\n1;0,2\n2;0,3\n",
+        "Bench\nt;q;u\n0;0,1\n1;0,2\n2;0,3\n",  # no line does
+        "Bench\nt;q\n0;0,1\n1;0,2;7\n2;0,3\n",  # numbers that part otherwise
+    ],
+)
+def test_where_no_line_is_surely_the_header_it_is_asked_for(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=r"delete the lines above the names of the columns"):
+        read_table(path)
+
+
 @pytest.mark.parametrize(
     "text",
     [

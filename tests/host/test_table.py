@@ -93,7 +93,7 @@ def test_a_separator_at_the_end_of_each_line_is_no_column(tmp_path: Path, below:
 
 
 def test_lines_above_the_names_of_the_columns_are_to_be_deleted(tmp_path: Path) -> None:
-    file = write(tmp_path / "run.csv", "Messung 3\nMaschine: Pendel\nt;q\n0;1\n0,1;2\n")
+    file = write(tmp_path / "run.csv", "Messung;3\nMaschine;Pendel\nt;q\n0;1\n0,1;2\n")
     with pytest.raises(RecordingError, match=r"delete the lines above the names of the columns"):
         read_table(file)
 

@@ -4,6 +4,7 @@ numbers.
 In a recording of zendsp the first line is a comment for people, and the last line, a comment too,
 holds the metadata; readers that know ``#`` skip both. The separator, ``,`` ``;`` or tab, is found
 from the header and may also end each line; where the header has none, blanks part the columns.
+Lines of text above the header are passed over where only one line has a name for each number below.
 ``;`` with decimal commas is understood. A column of dates or times of day (ISO 8601, or
 day.month.year) becomes seconds since its first; a column of words or days only is left out. The two
 columns of a ROS time stamp become one. The text is
@@ -51,6 +52,9 @@ DAY_S = 86400.0
 NANOSECONDS = {"sec": ("nanosec", "nsec"), "secs": ("nsecs", "nanosecs")}
 # cells that stand for a number that is not there, as pandas, Python, spreadsheets and MATLAB say it
 NOTHING = ("", "NA", "N/A", "n/a", "#N/A", "<NA>", "null", "NULL", "None")
+PREFACE = 100  # lines at the most above the header, of which every instrument writes fewer
+HEAD = 1 << 17  # characters in which they are looked for
+ALIKE = 3  # rows of numbers below it that have to part alike
 SHOWN = 40  # characters of a line in a message
 ROSTOPIC = re.compile(r"%time,field\b")  # echo -p: its own time in ns, then the message
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
@@ -101,6 +105,10 @@ def read(path: Path, tell: Share | None = None) -> Raw:
             f"{path}: is cut short: it lacks its last line, which holds the parameters and a"
             " checksum. Take another copy, or delete the first line to read what is left"
         )
+    passed = _preface(body)
+    for _ in range(passed):
+        above, _, body = body.partition("\n")
+    first_line += passed
     header_line, _, rows = body.partition("\n")
     if _names(above, header_line):  # as np.savetxt writes them
         header_line, rows, first_line = above[1:].strip(), body, first_line - 1
@@ -120,7 +128,8 @@ def read(path: Path, tell: Share | None = None) -> Raw:
     if said := _unit_row(rows.partition("\n")[0], delimiter, len(names)):
         units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
         rows, first_line = rows.partition("\n")[2], first_line + 1
-    raw = Raw({}, units, {}, metadata)
+    said_above = f"{counted(passed, 'line')} above the names of the columns passed over"
+    raw = Raw({}, units, {}, metadata, notes=(said_above,) * bool(passed))
     return _stamped(_numbers(path, rows, raw, delimiter, first_line + 1, tell))
 
 
@@ -129,6 +138,31 @@ def _names(comment: str, line: str) -> bool:
     between = r"[,;\t]" if re.search(r"[,;\t]", line) else r"\s+"
     words, cells = (re.split(between, text.strip()) for text in (comment[1:], line))
     return len(words) == len(cells) > 1 and all(map(_is_number, cells))
+
+
+def _preface(body: str) -> int:
+    """The number of lines above the header: the one line, perhaps with a row of units below it,
+    that has as many fields as the numbers that follow. 0 where it is the first, or not sure.
+    """
+    lines = body[:HEAD].split("\n")[:-1][: PREFACE + ALIKE]
+    for delimiter in (";", "\t", ","):
+        bare = [line.removesuffix(delimiter) for line in lines]
+        fields = [next(csv.reader([line], delimiter=delimiter), []) for line in bare]
+        width = [len(cells) if all(map(_is_value, cells)) else 0 for cells in fields]
+        first = next((k for k, n in enumerate(width) if n > 1), 0)
+        named = [k for k in range(first) if len(fields[k]) == width[first]]
+        if not named or {*width[first : first + ALIKE]} != {width[first]}:
+            continue
+        units = _unit_row(lines[first - 1], delimiter, width[first])
+        if named[0] == first - 1 or (named == [first - 2, first - 1] and units):
+            return named[0]
+    return 0
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell can stand below a header: a number, a date or time, or nothing."""
+    text = _year_first(cell.strip().strip('"'))
+    return text in NOTHING or _is_number(text.replace(",", ".")) or _seconds([text]) is not None
 
 
 def _stamped(raw: Raw) -> Raw:
@@ -323,7 +357,7 @@ def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
     table = [cells for cells in lines if any(cell.strip() for cell in cells)]
     if any(len(cells) != len(names) for cells in table):
         raise ValueError("lines of different length")
-    columns, units, refused, notes = {}, dict(raw.units), {}, []
+    columns, units, refused, notes = {}, dict(raw.units), {}, list(raw.notes)
     for name, column in zip(names, zip(*table, strict=True), strict=True):
         cells = ["nan" if c.strip() in NOTHING else c.strip() for c in column]
         if all(c == "nan" or not _is_number(c) for c in cells) and set(cells) != {"nan"}:
