@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from zendsp.cli import cli
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
 
@@ -98,10 +100,28 @@ def test_lines_above_the_names_of_the_columns_are_to_be_deleted(tmp_path: Path) 
         read_table(file)
 
 
+def test_a_folder_of_one_recording_is_read_as_that(tmp_path: Path) -> None:
+    """``zendsp model new runs/NAME`` said that it is a folder, and not what is in it."""
+    run = tmp_path / "runs" / "today"
+    run.mkdir(parents=True)
+    write(run / "a.csv", "t,q\n0,1\n1,2\n")
+    write(run / "run.json", "{}")
+    assert list(read_table(run).columns) == ["t", "q"]
+    write(run / "b.csv", "t,q\n0,1\n1,2\n")
+    with pytest.raises(RecordingError, match=r"with 2 recordings \(a\.csv, b\.csv\): give one"):
+        read_table(run)
+    made = Recording.from_columns({"u": np.arange(3.0)}, t=np.arange(3.0))
+    made.save(run / "recording.mat")
+    assert list(read_table(run).columns) == ["t", "u"], "that of the run"
+    assert list(Recording.load(run).names) == ["u"]
+    done = CliRunner().invoke(cli, ["model", "new", str(run), "-o", str(tmp_path / "m.toml")])
+    assert done.exit_code == 0 or "is a folder" not in str(done.exception)
+
+
 def test_missing_file_folder_and_unknown_kind_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no such file"):
         read_table(tmp_path / "none.csv")
-    with pytest.raises(RecordingError, match="is a folder"):
+    with pytest.raises(RecordingError, match="is a folder with 0 recordings"):
         read_table(tmp_path)
     with pytest.raises(RecordingError, match=r"unknown kind of file '\.xlsx'"):
         read_table(write(tmp_path / "run.xlsx", "x"))

@@ -49,7 +49,9 @@ READERS = {  # suffix: module of zendsp.recording.formats
     ".tdms": "tdms",
 }
 BAG = "metadata.yaml"  # what makes a folder a bag of rosbag2
+OF_RUN = "recording.mat"  # the recording in the folder of a run
 SAID = 160  # characters of what another library said of a damaged file
+FILES = 5  # of a folder, in a message
 REPR = 80  # characters of names that a prompt shows
 ROBOTS = (".urdf", ".xacro", ".xml", ".mjcf")
 _PANDAS = 'python -c "import pandas, sys; pandas.'
@@ -191,7 +193,7 @@ def read_table(
     Parameters
     ----------
     path : path
-        Its suffix says what it is; a folder is a bag of rosbag2.
+        Its suffix says what it is; a folder is a bag of rosbag2, or holds one recording.
     columns : sequence of str, optional
         Read and check these only; the others may then be of any length or kind.
     progress : callable, optional
@@ -234,13 +236,10 @@ def read_raw(path: Path, tell: Share | None = None) -> Raw:
     """The contents of a file, read by its suffix, not yet interpreted; see `read_table`."""
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
+    if path.is_dir() and not (path / BAG).exists():
+        path = _within(path)
     suffix = _suffix(path)
     if path.is_dir():
-        if not (path / BAG).exists():
-            raise RecordingError(
-                f"{path}: is a folder; give a file ({', '.join(READERS)}), or a bag of rosbag2"
-                f" ({BAG} is in it)"
-            )
         suffix = ".db3"
     elif path.stat().st_size == 0:
         raise RecordingError(f"{path}: is empty (0 bytes)")
@@ -265,6 +264,21 @@ def read_raw(path: Path, tell: Share | None = None) -> Raw:
     except Exception as error:  # on damaged bytes the libraries raise whatever they ran into
         raise _damaged(path, error) from error
     return raw
+
+
+def _within(folder: Path) -> Path:
+    """The one recording in a folder: of a run, or the only file of a kind that is read."""
+    there = sorted(file for file in folder.iterdir() if _suffix(file) in READERS)
+    of_run = [file for file in there if file.name == OF_RUN]
+    if len(of_run or there) == 1:
+        return (of_run or there)[0]
+    names = ", ".join(file.name for file in there[:FILES]) + ", …" * (len(there) > FILES)
+    raise RecordingError(
+        f"{folder}: is a folder with {counted(len(there), 'recording')}"
+        + (f" ({names}): give one of them" if there else "")
+        + f"; one with a single file ({', '.join(READERS)}), or a bag of rosbag2 ({BAG} is in it),"
+        " is read"
+    )
 
 
 def _suffix(path: Path) -> str:

@@ -24,10 +24,11 @@ import numpy as np
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording
 from zendsp.recording.files import rescue
+from zendsp.recording.table import OF_RUN
 from zendsp.tui.workspace import file_name
 from zendsp_protocol import written
 
-DATA, CARD = "recording.mat", "run.json"
+DATA, CARD = OF_RUN, "run.json"
 
 
 class Outcome(StrEnum):
