@@ -349,7 +349,8 @@ def test_a_report_that_a_full_disk_refuses_is_written_elsewhere(
 
     for name in ("run.csv", "model.toml"):
         (tmp_path / name).write_text("")
-    monkeypatch.setattr("zendsp.diagnosis.diagnose", lambda *_, **__: "a diagnosis")
+    made = SimpleNamespace(stopped=False)
+    monkeypatch.setattr("zendsp.diagnosis.diagnose", lambda *_, **__: made)
     monkeypatch.setattr("zendsp.diagnosis.report.files.write_report", write)
     monkeypatch.setattr("zendsp.diagnosis.report.files.report_text", lambda result: "{}")
     words = ("--model", tmp_path / "model.toml", "--out", tmp_path / "out", "--json")

@@ -228,3 +228,14 @@ def test_a_torque_over_time_alone_is_not_said_to_depend_on_the_state(
     words = notes._left_at(left, (left,), given, given)
     assert said in words
     assert ("depends on the state" in words) is (state.share > 0.5)
+    slides: Any = SimpleNamespace(torque_unit=lambda _: "N")
+    assert "a force of " in notes._left_at(left, (left,), slides, slides)
+
+
+def test_what_depends_on_the_state_is_no_larger_than_what_is_missing() -> None:
+    """ "0.33 N m RMS (297 % of the torque)" stood above a figure that ended at 0.2 N m."""
+    left: Any = SimpleNamespace(
+        joint=1, scale=0.11, state=Structure(2.97, 0.8, 6.0, 9.0), after=Size(0.72, 0.7, 0.8)
+    )
+    given: Any = SimpleNamespace(torque_unit=lambda _: "N m")
+    assert notes._of_state(left, given).startswith("a torque of 0.079 N m RMS (72 % of the torque)")

@@ -49,6 +49,24 @@ def test_an_interval_with_hardly_more_than_its_share_of_time_is_not_reported_as_
     assert not [r for r in regions(lacks, 1) if r.variable == "position"]
 
 
+def test_a_mismatch_of_fast_motion_both_ways_is_told_as_one_of_speed() -> None:
+    """It had no place: beyond ±2 rad/s is no interval of the velocity."""
+    t = 0.002 * np.arange(20000)
+    q, qd = np.sin(3.0 * t + np.sin(0.1 * t)), 3.0 * np.cos(3.0 * t + np.sin(0.1 * t))
+
+    def told(pull: np.ndarray) -> list[str]:
+        states = {"velocity": qd, "position": q, "acceleration": -9.0 * q, "command": t}
+        lacks = [Missing(t, pull, np.full(len(t), 0.01), states, {"velocity": "rad/s"})]
+        return [str(r) for r in regions(lacks, 1) if r.variable in ("velocity", "speed")]
+
+    (fast,) = told(np.where(np.abs(qd) > 2.0, 1.0, 0.0))
+    assert fast.startswith("speed 2.") and fast.endswith("rad/s"), fast
+    (slow,) = told(np.where(np.abs(qd) < 0.5, 1.0, 0.0))
+    assert slow.startswith("velocity -0."), "slow motion is one of the velocity"
+    (forward,) = told(np.where(qd > 2.0, 1.0, 0.0))
+    assert forward.startswith("velocity")
+
+
 def test_a_gravity_beside_the_models_own_is_reported_beside_the_given_number() -> None:
     """0.4878 and 0.0705 at 1.738 rad equal 0.4108 and another gravity. No recording separates them,
     so the second is known no better than the first.

@@ -85,6 +85,10 @@ class Parts:
             return self.test
         return replace(self.test, records=(*self.choose.records, *self.test.records))
 
+    def drives(self, joint: int) -> bool:
+        """Whether anything drives a joint: its command is not zero throughout."""
+        return any(np.any(rec[joint - 1].command) for rec in self.all.records)
+
 
 def with_same_columns(
     signals: Sequence[Signals], others: Sequence[Signals]

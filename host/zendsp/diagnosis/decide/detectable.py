@@ -129,7 +129,9 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
     found, sought = _screened(parts.fit, decision, jobs)
     implant = Implant(parts, given, decision, jobs)
     after = max(decision.after.value, decision.after.often)
-    sized = [effect for effect in library().values() if effect.sized]
+    # a joint that nothing drives has no actuator, and no transmission between a motor and itself
+    never = () if parts.drives(joint) else ("actuator", "transmission")
+    sized = [e for e in library().values() if e.sized and mechanism_of(e.name) not in never]
     other = {names: implant.other(names) for names in {effect.aliases for effect in sized}}
     traces = {n: _Traces(sought, found, screen, result, terms) for n, terms in other.items()}
     kinds = {mechanism_of(effect.name) for effect in sized}

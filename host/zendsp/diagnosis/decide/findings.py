@@ -243,6 +243,11 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
     return text.replace("torque", "force") if slides else text
 
 
+def torque_word(unit: str) -> str:
+    """The word for a torque: "force" where it is in N."""
+    return "force" if unit == "N" else "torque"
+
+
 def repeats(order: Estimate) -> str:
     """How often a wave repeats, in words: per turn, or over the travel.
 

@@ -10,7 +10,7 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict, listed, spans, two_digits
-from zendsp.diagnosis.decide.findings import percent
+from zendsp.diagnosis.decide.findings import percent, torque_word
 from zendsp.diagnosis.decide.near import likeness, only_in_the_fit
 from zendsp.diagnosis.decide.pushes import predicts
 from zendsp.diagnosis.decide.result import Errors
@@ -345,7 +345,7 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
         )
     if d.state.size > OF_STATE and predicts(d.state):
         return (
-            f"Joint {d.joint}: a torque of {_of_state(d, given)}"
+            f"Joint {d.joint}: {_of_state(d, given)}"
             + (f". {likeness(d.near)}" if d.near else " and is none of the known effects")
             + (_behind_another(decisions, given, d.joint) or _hardly_moves(fit, d.joint))
         )
@@ -368,7 +368,7 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
 
 def _lawless(d: Decision, given: Model) -> str:
     """The unexplained torque that no function of the state predicts, in words."""
-    what = f"Joint {d.joint}: a torque of {_torque(d, d.after.value, given)} is missing that"
+    what = f"Joint {d.joint}: {_torque(d, d.after.value, given)} is missing that"
     smooth = "smooth function of the joint's state predicts on untouched recordings"
     if d.near:
         return f"{what} no {smooth}. {likeness(d.near)}"
@@ -377,8 +377,9 @@ def _lawless(d: Decision, given: Model) -> str:
 
 def _torque(d: Decision, share: float, given: Model) -> str:
     """A part of a joint's torque in words, in its unit and in per cent."""
-    size = two_digits(share * d.scale)
-    return f"{size} {given.torque_unit(d.joint)} RMS ({percent(share)} % of the torque)"
+    unit = given.torque_unit(d.joint)
+    size, word = two_digits(share * d.scale), torque_word(unit)
+    return f"a {word} of {size} {unit} RMS ({percent(share)} % of the {word})"
 
 
 def _of_state(d: Decision, given: Model) -> str:
@@ -388,7 +389,9 @@ def _of_state(d: Decision, given: Model) -> str:
     if d.state.share < PREDICTED:
         part = f"functions of the joint's state predict {percent(d.state.share)} %"
         return f"{_torque(d, d.after.value, given)}, of which {part}, is missing"
-    return f"{_torque(d, d.state.size, given)} depends on the state of the joint"
+    # fitted where there is more of it, it may be larger than what is missing where it is judged
+    size = min(d.state.size, d.after.value)
+    return f"{_torque(d, size, given)} depends on the state of the joint"
 
 
 def _beside(d: Decision) -> float:

@@ -82,7 +82,7 @@ class Curve:
 def samples_of(missing: Missing, axis: Axis) -> Array:
     """The variable of an axis along a recording, (n,)."""
     if not axis.joints or missing.others is None:
-        return missing.time if axis.variable == "time" else missing.variables[axis.variable]
+        return missing.time if axis.variable == "time" else missing.along(axis.variable)
     row = ("position", "velocity", "acceleration").index(axis.variable)
     total: Array = missing.others[[j - 1 for j in axis.joints], row].sum(axis=0)
     return total

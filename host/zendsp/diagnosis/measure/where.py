@@ -34,7 +34,7 @@ from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
 
-VARIABLES = ("velocity", "position", "acceleration", "command")
+VARIABLES = ("velocity", "speed", "position", "acceleration", "command")  # speed: |velocity|
 SAMPLES = 20  # least number for intervals
 EDGES = 5  # least different edges of bins: a variable with fewer is nearly constant
 CONCENTRATED = 3.0  # times the mean energy: the mismatch is concentrated there
@@ -78,6 +78,11 @@ class Missing:
     units: dict[str, str] = field(default_factory=dict)
     others: Array | None = None  # (joints, 3, n): position, velocity, acceleration of all joints
     recording: str = ""
+
+    def along(self, variable: str) -> Array:
+        """The values of one of `VARIABLES`, (n,)."""
+        of_velocity = variable == "speed"
+        return np.abs(self.variables["velocity"]) if of_velocity else self.variables[variable]
 
     @property
     def weight(self) -> Array:
@@ -205,7 +210,7 @@ def regions(missing: Sequence[Missing], joint: int) -> list[Region]:
     each = [energy(m) for m in missing]
     e, counts = (np.concatenate(x) for x in zip(*each, strict=True))
     for name in VARIABLES:
-        v = np.concatenate([m.variables[name] for m in missing])
+        v = np.concatenate([m.along(name) for m in missing])
         if float(np.ptp(v)) <= 0:
             continue
         edges = np.unique(np.quantile(v, np.linspace(0, 1, 41)))
@@ -226,6 +231,8 @@ def regions(missing: Sequence[Missing], joint: int) -> list[Region]:
         of_time = float(time[a : b + 1].sum())
         if float(share[a : b + 1].sum()) < MORE * of_time:
             continue
+        if name == "speed" and a == 0:  # slow motion is an interval of the velocity
+            continue
         within = (bins >= a) & (bins <= b)
         if not _stands_out(missing, (within - of_time) * counts * e):
             continue
@@ -236,10 +243,12 @@ def regions(missing: Sequence[Missing], joint: int) -> list[Region]:
                 (float(edges[a]), float(edges[b + 1])),
                 float(share[a : b + 1].sum()),
                 of_time,
-                missing[0].units.get(name, ""),
+                missing[0].units.get("velocity" if name == "speed" else name, ""),
             )
         )
-    return sorted(found, key=lambda r: r.time_share - r.share)
+    found.sort(key=lambda r: r.time_share - r.share)
+    either = [r for r in found if r.variable in ("velocity", "speed")]
+    return [r for r in found if r not in either[1:]]  # the same motion, told once
 
 
 def _stands_out(missing: Sequence[Missing], excess: Array) -> bool:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.findings import Finding, torque_word
 from zendsp.diagnosis.decide.result import Diagnosis, SimulatorErrors, Workings
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import VARIABLES, energy, lies_in, shares
@@ -118,6 +118,7 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
     lacks = (d.missing[joint], d.remaining[joint])
     times = [m.time for m in lacks[0]]
     starts = one_after_the_other([(float(t[0]), float(t[-1] - t[0])) for t in times])
+    unit = units_at(d, joint)["torque"]
     series = []
     for missing, (_, role, label) in zip(lacks, _models(two), strict=False):
         rows = zip(missing, drawn(missing), starts, strict=True)
@@ -127,14 +128,15 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
             series.append(Series("line", role, at[cut], torque[cut], "" if k else label))
     return Chart(
         "where",
-        f"Joint {joint}: the torque that the {two.lacking} lacks, over time",
+        f"Joint {joint}: the {torque_word(unit)} that the {two.lacking} lacks, over time",
         f"torque_joint{joint}",
         (
             Panel(
                 "time [s]" if len(times) == 1 else JOINED,
-                torque_label(units_at(d, joint)["torque"]),
+                torque_label(unit),
                 tuple(series),
-                f"Joint {joint}: torque that the {two.lacking} lacks along the {_shown_on(d)}",
+                f"Joint {joint}: {torque_word(unit)} that the {two.lacking} lacks along the"
+                f" {_shown_on(d)}",
                 spans=_times_of(d, joint) if len(times) == 1 else (),  # of one recording's clock
                 clock=len(times) == 1,
             ),

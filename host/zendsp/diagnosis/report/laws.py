@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.decide.fast_ripple import RIPPLE_BAND
-from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.findings import Finding, torque_word
 from zendsp.diagnosis.decide.pieces import beside_unknown
 from zendsp.diagnosis.decide.result import Diagnosis, Workings
 from zendsp.diagnosis.measure.curve import BINS, Axis, Curve, Samples, binned, curve_over
@@ -26,7 +26,6 @@ from zendsp.diagnosis.report.sides import (
     between,
     clearest,
     torque_label,
-    torque_word,
     units_at,
 )
 from zendsp.physics.calibration.fit import Data
@@ -344,19 +343,21 @@ def unclaimed_chart(d: Diagnosis, joint: int) -> Chart | None:
     best = max(curves, key=lambda curve: curve.explained)
     if best.explained < SHOWN:
         return None
-    caption = f"Joint {joint}: the torque that the calibrated model lacks, over its {best.axis}"
+    word = torque_word(units_at(d, joint)["torque"])
+    caption = f"Joint {joint}: the {word} that the calibrated model lacks, over its {best.axis}"
     chart = _without_a_law(d, joint, best)
     return replace(chart, section="where", caption=caption, name=f"lack_joint{joint}")
 
 
 def _without_a_law(d: Diagnosis, joint: int, curve: Curve) -> Chart:
     panel = curve_panel(d, joint, curve, "before", "without a law")
+    word = torque_word(units_at(d, joint)["torque"])
     return Chart(
         "law",
         "",
         "",
         (replace(panel, limits=common_limits([panel])),),
-        title=f"Joint {joint}: torque that the calibrated model lacks, over its {curve.axis}",
+        title=f"Joint {joint}: {word} that the calibrated model lacks, over its {curve.axis}",
         size=(7.2, 3.2),
         joint=joint,
         note="Bars are standard errors of the means.",

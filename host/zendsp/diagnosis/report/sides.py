@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zendsp.diagnosis.decide.assemble import Assembled
-from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.findings import Finding, torque_word
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.measure.discrepancy import BANDS
 from zendsp.diagnosis.measure.where import Missing, mismatch
@@ -81,16 +81,12 @@ def units_at(d: Diagnosis, joint: int) -> dict[str, str]:
     return {
         "position": q,
         "velocity": f"{q}/s",
+        "speed": f"{q}/s",
         "acceleration": f"{q}/s²",
         "command": d.given.actuator.command_unit or force,
         "time": "s",
         "torque": force,
     }
-
-
-def torque_word(unit: str) -> str:
-    """The word for a torque: "force" where it is in N."""
-    return "force" if unit == "N" else "torque"
 
 
 def torque_label(unit: str) -> str:

@@ -99,11 +99,13 @@ def _swings(claim: Claim, decision: Decision) -> bool:
 def unseen(
     parts: Parts, model: Model, decisions: Sequence[Decision]
 ) -> tuple[Detectable, ...]:
-    """The smallest compliance that would have been seen. None is stated where a transmission is
-    found: of two springs of an arm one took up the other, which was said not to show.
+    """The smallest compliance that would have been seen, of joints that a motor drives. None is
+    stated where a transmission is found: of two springs of an arm one took up the other, which was
+    said not to show.
     """
     sprung = any(c.is_transmission for d in decisions for c in d.claims)
-    return () if sprung else by_one_sensor(parts, model, decisions)
+    found = () if sprung else by_one_sensor(parts, model, decisions)
+    return tuple(d for d in found if parts.drives(d.joint))
 
 
 def said(unshown: Sequence[Detectable]) -> list[str]:
