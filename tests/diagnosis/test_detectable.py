@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +16,7 @@ import reality
 import small_models
 from small_models import model_of
 
-from zendsp.diagnosis import Diagnosis, engine
+from zendsp.diagnosis import Diagnosis, diagnose, engine
 from zendsp.diagnosis.decide import detectable as sizes
 from zendsp.diagnosis.decide import implants
 from zendsp.diagnosis.decide.detectable import detectable
@@ -294,3 +295,36 @@ def test_a_gap_of_the_stated_size_is_found_and_none_within_the_sensors_error_is_
     loose = replace(still, gap=1.3 * gap.size, load=half)
     (found,) = decided(loose, loose).findings
     assert found.mechanism == "transmission"
+
+
+def test_of_a_joint_that_nothing_drives_no_size_of_a_drive_is_told(tmp_path: Path) -> None:
+    """A delay and a gain of the pole's motor "would not be seen here even if large"."""
+    u = reality.multisine(8.0, reality.RATE, 1)
+    driven = reality.simulate(reality.Machine(coulomb=0.0), u, reality.RATE)
+    inertia, damping, spring = 0.01, 0.002, 0.3
+    slow = 0.5 * damping / inertia
+    turn = math.sqrt(spring / inertia - slow**2)
+    swings = 0.5 * np.exp(-slow * driven["t"]) * np.cos(turn * driven["t"])
+    swings = np.round(swings / reality.RESOLUTION) * reality.RESOLUTION
+    columns = {"t": driven["t"], "q1": driven["q"], "u1": driven["u"]}
+    run = reality.save(tmp_path / "run.csv", {**columns, "q2": swings, "u2": 0.0 * swings})
+    model = {
+        "sample_time": 1.0 / reality.RATE,
+        "mechanism": {
+            "kind": "rotary", "parameters": {"inertia": {"value": [0.01, inertia], "free": False}},
+        },
+        "effect": [
+            {"kind": "viscous", "joint": 1, "coefficient": 0.004},
+            {"kind": "viscous", "joint": 2, "coefficient": damping},
+            {"kind": "stiffness", "joint": 2, "coefficient": spring, "neutral": 0.0},
+        ],
+        "sensor": {"position_resolution": reality.RESOLUTION},
+        "columns": {"time": "t", "position": ["q1", "q2"], "command": ["u1", "u2"]},
+    }  # fmt: skip
+    d = diagnose(run, model, jobs=1)
+    asked: dict[int, set[str]] = {1: set(), 2: set()}
+    for x in (*d.detectable, *d.undetectable):
+        asked[x.joint].add(x.effect)
+    of_drives = {"delay", "lag", "torque_gain", "torque_offset", "dead_zone"}
+    assert {"delay", "dead_zone"} <= asked[1] and not of_drives & asked[2]
+    assert {"quadratic_drag", "encoder_eccentricity"} <= asked[2]

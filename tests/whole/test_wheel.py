@@ -78,7 +78,11 @@ def source_files() -> set[str]:
 
 def test_the_wheel_holds_every_file_of_the_four_packages(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
-        held = {name for name in archive.namelist() if ".dist-info/" not in name}
+        names = archive.namelist()
+    held = {name for name in names if ".dist-info/" not in name and ".data/" not in name}
+    assert [name for name in names if ".data/scripts/" in name] == [
+        "zendsp-0.1.0.data/scripts/zendsp"
+    ]
     wanted = source_files()
     assert {Path(name).suffix for name in wanted} >= {".py", ".c", ".h", ".typed"}
     assert wanted - held == set()
