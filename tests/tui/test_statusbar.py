@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from zendsp.link.outside import Outside
 from zendsp.tui.colours import THEMES
 from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.snapshot import LinkState, Snapshot, TripView
-from zendsp.tui.statusbar import StatusBar, banner_lines
+from zendsp.tui.statusbar import ENOUGH, StatusBar, Tabs, banner_lines
 from zendsp.tui.stop_process import EMERGENCY
 from zendsp_protocol.messages import JointInfo, Limits, MachineInfo
 
@@ -101,6 +102,21 @@ async def test_who_asked_for_stop_and_when_is_said_on_every_width(width: int) ->
         await pilot.pause()
         line = app.screen._compositor.render_strips()[1].text
         assert when in line and "■ stopped" in line and "cmd you" in line, line
+
+
+async def test_old_numbers_are_said_to_be_and_a_tiny_terminal_says_what_is_needed() -> None:
+    """On a busy computer they stood still for seconds, and looked like those of now."""
+    app, seen = _Bar(), Snapshot(link="up", target="imi", state="running", asked=time.monotonic())
+    async with app.run_test(size=(80, 24)) as pilot:
+        bar = app.query_one(StatusBar)
+        assert "old" not in bar.loop(seen).plain
+        assert "is 7 s old: this computer is busy" in bar.loop(
+            replace(seen, asked=seen.asked - 7.0)
+        ).plain
+        assert ENOUGH not in app.query_one(Tabs).render().plain
+        await pilot.resize_terminal(20, 5)
+        await pilot.pause()
+        assert app.query_one(Tabs).render().plain == f" {ENOUGH}" and len(ENOUGH) < 20
 
 
 async def test_why_a_target_is_not_reached_is_said_on_the_bar() -> None:

@@ -43,6 +43,27 @@ def test_a_terminal_that_goes_away_ends_the_program_whoever_ignored_its_signal(
         raise
 
 
+def test_sigterm_ends_the_screens_and_leaves_the_terminal_as_it_was(tmp_path: Path) -> None:
+    """The shell was left in the screens' own buffer, with the mouse reported and nothing echoed."""
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.environ["TERM"] = "xterm-256color"
+        words = ["tui", "--folder", str(tmp_path), "--screen", "reference"]
+        call = "from zendsp.__main__ import main; main()"
+        os.execv(sys.executable, [sys.executable, "-c", call, *words])
+    deadline, seen, asked = time.monotonic() + PATIENCE_S, b"", False
+    with contextlib.suppress(OSError):  # it has closed the terminal
+        while piece := os.read(terminal, 1 << 16):
+            seen += piece
+            assert time.monotonic() < deadline, seen[-2000:]
+            if b"goal" in seen and not asked:
+                os.kill(pid, signal.SIGTERM)
+                asked = True
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 128 + signal.SIGTERM
+    os.close(terminal)
+    assert b"\x1b[?1049l" in seen and seen.rstrip().endswith(b"ended by SIGTERM")
+
+
 def test_standard_error_may_go_to_a_file_while_the_screens_are_in_the_terminal(
     tmp_path: Path,
 ) -> None:

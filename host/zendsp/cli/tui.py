@@ -148,6 +148,8 @@ def command(
             app.run()
     finally:
         app.session.stops.release_keys()
+    if app.return_code == 128 + signal.SIGTERM:
+        click.echo("ended by SIGTERM", err=True)
     click.get_current_context().exit(app.return_code or 0)  # 1 where an error ended the screens
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import signal
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
@@ -119,6 +121,9 @@ class ZendspApp(TypeAhead):
             self.unregister_theme(name)  # their colours have no numbers to paint bars with
         self.theme = self._theme_name
         self.session.start()
+        if not self.is_headless:  # it leaves the terminal as it was
+            end = partial(self.exit, return_code=128 + signal.SIGTERM)
+            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, end)
         makers: dict[str, type[LabScreen]] = {
             "console": ConsoleScreen,
             "execute": ExecuteScreen,

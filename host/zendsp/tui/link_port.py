@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,7 +64,7 @@ class LinkPort:
 
     def snapshot(self) -> Snapshot:
         """Everything that a screen shows, by at most six quick requests."""
-        begin = time.perf_counter()
+        asked, begin = time.monotonic(), time.perf_counter()
         s = self.target.status()
         latency = time.perf_counter() - begin
         drive = self.target.drive_status()
@@ -84,7 +85,7 @@ class LinkPort:
         self._looked += 1
         if not self.target.alive:
             raise LinkError(f"target {self.target.name} is out of reach")
-        return self._make(s, drive, values, latency)
+        return replace(self._make(s, drive, values, latency), asked=asked)
 
     def _make(
         self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Value], latency: float

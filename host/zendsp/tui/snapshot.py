@@ -102,6 +102,7 @@ class Snapshot:
     missed: int = 0
     lost: int = 0
     latency_s: float = float("nan")
+    asked: float = float("nan")  # when the target was asked, by the monotonic clock
     commander: str = ""  # who holds the right to command, "" if nobody
     moved_by: str = ""  # whose run moves the machine, "you" of this terminal
     mine: bool = False  # it is held here
@@ -151,6 +152,7 @@ NUMBERS: dict[str, Any] = {
     "exec_max_ns": 0.0,
     "late_max_ns": 0.0,
     "latency_s": 0.0,
+    "asked": 0.0,
     "io": {},
     "position": (),
     "values": {},

@@ -39,6 +39,9 @@ STATE_MARKS = {
 
 LEAST = 4  # columns that words are wrapped to
 LEAST_NAME = 12  # columns of a target's name, however much there is to be said
+OLD_S = 1.5  # since the target was asked, which is ten times a second: its answers are late
+FEWEST = 40  # columns; on fewer no screen is of use
+ENOUGH = "80×24 is needed"
 BUSY = 0.8  # of the period, by the longest execution: more is shown as a warning
 
 
@@ -89,6 +92,8 @@ class Tabs(Widget):
     def render(self) -> Text:
         colours = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
+        if self.app.size.width < FEWEST:
+            return text.append(f" {ENOUGH}", Style(bold=True, color=colours["warning"]))
         tabs = sum(len(f" F0 {name} ") for name in SCREENS)
         # on 80 columns the time is worth more than the name, on 60 than those of other screens
         room = self.size.width - tabs - self.right.cell_len
@@ -278,6 +283,9 @@ class StatusBar(Widget):
             after = "; its rows: zendsp salvage" if s.gone else left_alone(s)
             return line.append(f"below: what was heard last, at t = {s.t:.1f} s{after}", bad)
 
+        age = time.monotonic() - s.asked
+        if age > OLD_S:
+            return line.append(f"what is shown is {age:.0f} s old: this computer is busy", bad)
         width = self._line2.size.width
 
         def item(name: str, value: str, alarm: bool = False) -> None:
