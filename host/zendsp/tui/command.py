@@ -16,6 +16,9 @@ from zendsp.parent import call
 POLITELY = "import os; os.nice(10); "
 
 
+INTERRUPTED = 128 + signal.SIGINT  # the exit status of a command that Ctrl-C ended
+
+
 class Command:
     """One command of zendsp, run in a process of its own.
 

@@ -18,7 +18,7 @@ from textual.widgets.option_list import Option
 
 from zendsp.physics.files.questions import open_questions
 from zendsp.tui.actions import bindings
-from zendsp.tui.command import Command
+from zendsp.tui.command import INTERRUPTED, Command
 from zendsp.tui.diagnoses import Diagnosed, begin, keep, list_diagnoses, recording_name
 from zendsp.tui.dialogs import Choose
 from zendsp.tui.dialogs import Option as Line
@@ -190,7 +190,8 @@ class DiagnoseScreen(GivenActions, LoopActions):
         try:
             status = await command.run()
             self.coming = None
-            if status == 0:  # cancelled or not: what was found so far is a report too
+            # what was found before it was interrupted is a report too; its page is written last
+            if status == 0 or (status == INTERRUPTED and coming.page.exists()):
                 self.open(keep(coming, folder))
                 return
             if self.shown is coming:
