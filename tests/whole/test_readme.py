@@ -14,6 +14,7 @@ import click
 import pytest
 
 from zendsp.cli import COMMANDS, cli
+from zendsp.link.programs import STOPPED_S
 from zendsp.physics import load_model
 from zendsp.recording import Recording
 
@@ -35,6 +36,13 @@ def test_the_ten_lines_run_and_record_every_sample(tmp_path: Path) -> None:
     recording = Recording.load(tmp_path / "run.mat")
     assert len(recording) == 2000
     assert [channel.name for channel in recording.channels] == ["q", "tau"]
+
+
+def test_the_page_says_after_how_long_stop_is_said_to_have_failed() -> None:
+    """Two seconds stood there, and it is one: whoever waits for the banner waits for nothing."""
+    page = (ROOT / "docs" / "tui.md").read_text()
+    (seconds,) = re.findall(r"\*NOT STOPPED[^*]*\*: no word came within (\d+) s", page)
+    assert float(seconds) == STOPPED_S
 
 
 def mentioned_commands() -> dict[str, set[str]]:
