@@ -282,7 +282,10 @@ def test_a_gap_or_a_machine_without_bodies_is_no_chain(tmp_path: Path) -> None:
     assert not is_chain(data, replace(model, kind="planar2r"), {1})
 
 
-@pytest.mark.parametrize("springs", [(), (1,), (0, 1)])
+ONE = pytest.mark.long("both and none are the same decision; lost: one alone")
+
+
+@pytest.mark.parametrize("springs", [(), pytest.param((1,), marks=ONE), (0, 1)])
 def test_all_encoders_show_springs_before_a_joint_is_searched(
     springs: tuple[int, ...], tmp_path: Path
 ) -> None:

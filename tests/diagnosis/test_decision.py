@@ -95,7 +95,10 @@ def test_friction_that_falls_with_speed_is_found_upon_one_with_a_level_for_each_
     assert found.parameters["velocity"].value == pytest.approx(0.2, rel=0.1)
 
 
-@pytest.mark.parametrize("speed", [0.08, 0.3])
+SLOW = pytest.mark.long("the other falls as steeply as creep bends; lost: a gentle fall")
+
+
+@pytest.mark.parametrize("speed", [0.08, pytest.param(0.3, marks=SLOW)])
 def test_all_friction_that_a_model_lacks_is_a_stribeck_curve_and_viscous(
     decided: Decided, speed: float
 ) -> None:

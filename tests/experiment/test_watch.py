@@ -81,7 +81,13 @@ def started(folder: Path, xml: str, options: Sequence[str] = ()) -> Iterator[Tar
         yield target
 
 
-@pytest.mark.parametrize("name", ["friction", "low-speed", "mechanical"])
+OTHERS = [
+    pytest.param(name, marks=pytest.mark.long("one loop watches all; lost: its motion"))
+    for name in ("low-speed", "mechanical")
+]
+
+
+@pytest.mark.parametrize("name", ["friction", *OTHERS])
 def test_a_held_joint_that_gives_way_ends_the_experiment_at_a_tenth_of_its_range(
     tmp_path: Path, name: str
 ) -> None:
@@ -155,7 +161,7 @@ def test_a_joint_that_its_drive_cannot_move_gets_no_numbers(tmp_path: Path, name
     assert "larger inertia" not in said, "it is the torque that lacks"
 
 
-@pytest.mark.parametrize("name", ["friction", "low-speed", "mechanical"])
+@pytest.mark.parametrize("name", ["friction", *OTHERS])
 def test_a_joint_at_its_limit_is_left_out_and_the_others_are_measured(
     tmp_path: Path, name: str
 ) -> None:
@@ -173,7 +179,7 @@ def test_a_joint_at_its_limit_is_left_out_and_the_others_are_measured(
     assert "at its limit of 10 N m" in left[0]
 
 
-@pytest.mark.parametrize("name", ["friction", "low-speed", "mechanical"])
+@pytest.mark.parametrize("name", ["friction", *OTHERS])
 def test_a_joint_whose_inertia_is_declared_wrongly_is_stopped_in_its_gentle_motion(
     tmp_path: Path, name: str
 ) -> None:
@@ -281,7 +287,7 @@ def test_what_is_held_follows_from_the_reference_or_the_push() -> None:
     assert Held.by(None, {}) == Held({}, ())
 
 
-@pytest.mark.parametrize("name", ["friction", "low-speed"])
+@pytest.mark.parametrize("name", ["friction", OTHERS[0]])
 def test_a_joint_that_something_holds_up_is_held_there_at_once(tmp_path: Path, name: str) -> None:
     """It was pushed against the block for the whole of each move, by up to 20 N m."""
     with started(tmp_path, STOP) as target:
