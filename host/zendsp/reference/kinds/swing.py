@@ -86,6 +86,8 @@ def _collocate(
     # Time alone leaves the torque undetermined where nothing binds: a trace of energy settles it.
     opti.minimize(total + 1e-3 * energy / p.torque**2 if duration is None else energy / p.torque**2)
 
+    # beside a solution the barrier begins low, or it is left again
+    barrier = 1e-4 if guess else 0.1
     guess = guess or _first_guess(p, duration)
     opti.set_initial(x, guess["x"])
     opti.set_initial(u, guess["u"])
@@ -97,7 +99,7 @@ def _collocate(
         "ipopt.sb": "yes",
         "ipopt.max_iter": 400,
         "ipopt.tol": 1e-7,
-        "ipopt.mu_strategy": "adaptive",
+        "ipopt.mu_init": barrier,
         "ipopt.acceptable_tol": 1e-5,
         "ipopt.acceptable_iter": 10,
     }
