@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 from textual import events
@@ -17,7 +18,7 @@ from textual.driver import Driver
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Input
 
-from zendsp.tui.actions import ACTIONS, Action, bindings, in_keys
+from zendsp.tui.actions import ACTIONS, SCREENS, Action, bindings, in_keys
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Message
 from zendsp.tui.dialogs.leave import Leave, becomes, may_move, moves
@@ -103,18 +104,14 @@ class ZendspApp(TypeAhead):
 
     # -- life
 
-    def _kept(self, name: str, make: type[LabScreen]) -> LabScreen:
-        """The screen of a mode; it is made when it is first shown."""
+    def _kept(self, name: str) -> LabScreen:
+        """The screen of a mode; it is made, and what it needs is loaded, when it is first shown."""
         if name not in self._screens:
-            self._screens[name] = make()
+            module = import_module(f"zendsp.tui.screens.{name}")
+            self._screens[name] = getattr(module, f"{name.capitalize()}Screen")()
         return self._screens[name]
 
     async def on_mount(self) -> None:
-        from zendsp.tui.screens.console import ConsoleScreen
-        from zendsp.tui.screens.diagnose import DiagnoseScreen
-        from zendsp.tui.screens.execute import ExecuteScreen
-        from zendsp.tui.screens.reference import ReferenceScreen
-
         for theme in THEMES:
             self.register_theme(theme)
         for name in [n for n, theme in self.available_themes.items() if theme.ansi]:
@@ -124,18 +121,12 @@ class ZendspApp(TypeAhead):
         if not self.is_headless:  # it leaves the terminal as it was
             end = partial(self.exit, return_code=128 + signal.SIGTERM)
             asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, end)
-        makers: dict[str, type[LabScreen]] = {
-            "console": ConsoleScreen,
-            "execute": ExecuteScreen,
-            "reference": ReferenceScreen,
-            "diagnose": DiagnoseScreen,
-        }
-        for name, maker in makers.items():
-            self.add_mode(name, partial(self._kept, name, maker))
+        for name in SCREENS:
+            self.add_mode(name, partial(self._kept, name))
         self._blind = not self.is_headless
         await self.switch_mode(self._first)
         if not self.is_headless:  # in the queue of the keys: those that are pressed meanwhile wait
-            self.call_after_refresh(self._first_picture, makers)
+            self.call_after_refresh(self._first_picture)
         if self._target:
             self.session.connect(self._target)
         elif self._begin:
@@ -148,9 +139,9 @@ class ZendspApp(TypeAhead):
         if self._blind and self.screen_stack and isinstance(self.screen, LabScreen):
             self._mark_picture()
 
-    def _first_picture(self, names: Iterable[str]) -> None:
+    def _first_picture(self) -> None:
         self._mark_picture()
-        self.call_later(self._build_others, names)
+        self.call_later(self._build_others)
 
     def _mark_picture(self) -> None:
         if self._marked:
@@ -162,13 +153,13 @@ class ZendspApp(TypeAhead):
         else:
             self._see()
 
-    async def _build_others(self, names: Iterable[str]) -> None:
+    async def _build_others(self) -> None:
         """Build the other screens after the first picture, so that none has to be built when its
         key is pressed.
         """
         shown = self.current_mode
         with self.batch_update():
-            for name in names:
+            for name in SCREENS:
                 await self.switch_mode(name)
             await self.switch_mode(shown)
 
