@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from waiting import PATIENCE_S
 
-import zendsp
 from zendsp.cli import COMMANDS, LazyGroup, cli, main
 from zendsp.cli.lines import fitted, write_anywhere
 from zendsp.cli.stats import bars
@@ -200,7 +199,7 @@ def test_a_signal_from_the_first_line_of_the_installed_command_on_ends_it_in_one
 ) -> None:
     """What pip writes for an entry point imports before anything can catch a Ctrl-C."""
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTS)
-    root = Path(zendsp.__file__).parents[2]
+    root = Path(__file__).parents[2]
     scripts = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
     (script,) = scripts["targets"]["wheel"]["shared-scripts"]
     assert os.access(root / script, os.X_OK), "pip would install it as it is"

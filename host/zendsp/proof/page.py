@@ -103,7 +103,7 @@ def proof_page(
     lines += [
         "## What fails",
         "",
-        *(f"- {line}" for line in wrong),
+        *(fill(f"- {line}", 100, subsequent_indent="  ") for line in wrong),
         *([] if wrong else ["Nothing in this run."]),
         "",
     ]
