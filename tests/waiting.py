@@ -50,3 +50,9 @@ def freeze(pid: int) -> None:
 
 def _state(task: Path) -> str:
     return (task / "stat").read_text().rpartition(")")[2].split()[0]
+
+
+def status_of(returncode: int | None) -> int:
+    """The exit status as a shell has it: 128 and the signal that ended the process."""
+    assert returncode is not None, "it runs"
+    return returncode if returncode >= 0 else 128 - returncode

@@ -10,6 +10,7 @@ try:
     import atexit
     import os
     import signal
+    from contextlib import suppress
 except KeyboardInterrupt:
     sys.stderr.write("interrupted\n")
     raise SystemExit(130) from None
@@ -41,8 +42,9 @@ def main() -> None:
 
 
 class _End:
-    """Ends the process once all exit handlers have run. The interpreter's own end would abort it
-    where one of Zenoh's threads returns from compiled code meanwhile ("exception not rethrown").
+    """Ends the process once all exit handlers have run: after Ctrl-C by the signal itself, or a
+    loop of a shell would go on. The interpreter's own end would abort it where one of Zenoh's
+    threads returns from compiled code meanwhile ("exception not rethrown").
     """
 
     def __init__(self) -> None:
@@ -55,9 +57,14 @@ class _End:
         return self.status
 
     def _leave(self) -> None:
-        if "zenoh" in sys.modules:
-            sys.stdout.flush()
-            sys.stderr.flush()
+        interrupted = self.status == 128 + signal.SIGINT
+        if interrupted or "zenoh" in sys.modules:
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError):  # nobody reads it any more
+                    stream.flush()
+            if interrupted:
+                signal.signal(signal.SIGINT, signal.SIG_DFL)
+                signal.raise_signal(signal.SIGINT)
             os._exit(self.status)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import relay_to
-from waiting import PATIENCE_S, freeze, until
+from waiting import PATIENCE_S, freeze, status_of, until
 
 from zendsp.link import Target
 from zendsp.recording import Recording
@@ -41,7 +41,7 @@ def _interrupted(
         time.sleep(again_s)
         process.send_signal(by)
     out, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == (128 + by if status is None else status), err
+    assert status_of(process.returncode) == (128 + by if status is None else status), err
     return subprocess.CompletedProcess(words, process.returncode, out, err)
 
 

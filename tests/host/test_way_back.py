@@ -111,3 +111,18 @@ def test_a_latched_trip_is_recognised_by_cause_and_sample_and_not_by_its_sentenc
     trip = Trip("speed", tick=7, text=text, cause="too fast")
     tripped = Status(state="stopped", drive="tripped", trip=trip)
     assert trouble(tripped).startswith("tripped: too fast (sample 7); outputs are safe;")
+
+
+@pytest.mark.parametrize(("trip", "away", "steps"), [
+    (OUT, False, ("home", "enable", "start")),
+    (None, True, ("home", "enable", "start")),
+    (NOT_THERE, False, ("change the program", "build", "start")),
+    (LOST, False, ("start",)),
+])  # fmt: skip
+def test_what_led_to_a_trip_is_there_still_when_it_is_acknowledged(
+    trip: Trip | None, away: bool, steps: tuple[str, ...]
+) -> None:
+    """The line "next" led to the same trip again."""
+    drive = DriveStatus(state="homed")  # type: ignore[arg-type]
+    stopped = Status("stopped")  # type: ignore[arg-type]
+    assert way_back(stopped, drive, away=away, acknowledged=trip) == steps

@@ -319,7 +319,8 @@ class Reader:
         seen = [process.stdout.readline() for _ in range(FOREVER[meant.split()[1]])]
         process.send_signal(signal.SIGINT)
         status = process.wait(PATIENCE_S)
-        return "" if all(seen) and status == 130 else f"exit status {status} after {seen}"
+        good = all(seen) and status == -signal.SIGINT
+        return "" if good else f"exit status {status} after {seen}"
 
     def python(self, text: str) -> str:
         """Run the page's Python as one script."""

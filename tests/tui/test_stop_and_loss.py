@@ -107,7 +107,7 @@ async def test_after_stop_nothing_moves_until_somebody_enables(
         # one after the other: a start asked while enabling waits goes with it
         for key, count in (("e", 1), ("s", 2)):
             await pilot.press(key)
-            await until(pilot, lambda n=count: len(refused()) == n, f"{key} is refused while latched")
+            await until(pilot, lambda n=count: len(refused()) == n, f"{key} is refused: latched")
         await until(
             pilot, lambda: not lab.session.stops.unseen(time.monotonic()), "somebody saw it"
         )

@@ -43,7 +43,10 @@ def test_a_terminal_that_goes_away_ends_the_program_whoever_ignored_its_signal(
         raise
 
 
-def test_sigterm_ends_the_screens_and_leaves_the_terminal_as_it_was(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_screens_and_leaves_the_terminal_as_it_was(
+    number: signal.Signals, tmp_path: Path
+) -> None:
     """The shell was left in the screens' own buffer, with the mouse reported and nothing echoed."""
     pid, terminal = pty.fork()
     if pid == 0:
@@ -57,11 +60,11 @@ def test_sigterm_ends_the_screens_and_leaves_the_terminal_as_it_was(tmp_path: Pa
             seen += piece
             assert time.monotonic() < deadline, seen[-2000:]
             if b"goal" in seen and not asked:
-                os.kill(pid, signal.SIGTERM)
+                os.kill(pid, number)
                 asked = True
-    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 128 + signal.SIGTERM
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 128 + number
     os.close(terminal)
-    assert b"\x1b[?1049l" in seen and seen.rstrip().endswith(b"ended by SIGTERM")
+    assert b"\x1b[?1049l" in seen and seen.rstrip().endswith(f"ended by {number.name}".encode())
 
 
 def test_standard_error_may_go_to_a_file_while_the_screens_are_in_the_terminal(

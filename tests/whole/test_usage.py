@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from waiting import PATIENCE_S
+from waiting import PATIENCE_S, status_of
 
 from zendsp.cli import COMMANDS, LazyGroup, cli, main
 from zendsp.cli.lines import fitted, write_anywhere
@@ -188,7 +189,7 @@ def test_ctrl_c_while_a_command_begins_ends_it_without_a_traceback(
         env={**os.environ, "PYTHONPATH": str(tmp_path), "WHEN": when},
         timeout=PATIENCE_S,
     )
-    assert done.returncode == 130, done.stderr
+    assert status_of(done.returncode) == 130, done.stderr
     assert "Traceback" not in done.stderr and not done.stdout
 
 
@@ -211,7 +212,7 @@ def test_a_signal_from_the_first_line_of_the_installed_command_on_ends_it_in_one
         timeout=PATIENCE_S,
     )
     words = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
-    assert (done.returncode, done.stderr.strip()) == (128 + number, words)
+    assert (status_of(done.returncode), done.stderr.strip()) == (128 + number, words)
 
 
 def test_where_zenoh_has_threads_the_interpreter_is_not_taken_apart(tmp_path: Path) -> None:
@@ -265,8 +266,32 @@ main()
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S
     )
-    assert done.returncode == 130, done.stderr
+    assert done.returncode == -signal.SIGINT, "or a loop of a shell goes on"
     assert done.stderr.strip() == "interrupted"
+
+
+def test_a_command_whose_terminal_was_closed_keeps_what_it_has(tmp_path: Path) -> None:
+    """Writing there failed, and a recording was lost with it."""
+    code = f"""
+import time
+from pathlib import Path
+from zendsp.here.ending import end_softly
+
+end_softly()
+try:
+    print("ready", flush=True)
+    time.sleep(3600)
+except KeyboardInterrupt:
+    print("saving", flush=True)
+    Path({str(tmp_path / "kept")!r}).touch()
+"""
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [sys.executable, "-c", code])
+    assert b"ready" in os.read(terminal, 1 << 16)
+    os.close(terminal)
+    os.waitpid(pid, 0)
+    assert (tmp_path / "kept").exists()
 
 
 def test_a_diagnosis_that_does_not_begin_leaves_no_folder(

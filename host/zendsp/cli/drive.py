@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -16,6 +16,7 @@ from zendsp_protocol.states import LATCHED, DriveState, ProgramState
 
 if TYPE_CHECKING:
     from zendsp.link import Target
+    from zendsp.link.outside import Outside
 
 ACTIONS = (
     "status", "on", "off", "home", "enable", "disable", "acknowledge", "auto", "take", "host-lost",
@@ -70,6 +71,7 @@ def command(
             "auto": t.drive_auto,
             "take": lambda: _take(t, force),
         }
+        tripped = t.status().trip if action == "acknowledge" else None
         try:
             if action == "acknowledge":
                 acknowledge(t, sample)
@@ -89,9 +91,11 @@ def command(
             for c in status.conditions
         ]
         held = seen.state == ProgramState.RUNNING and HOLD in t.variables() and bool(t[HOLD])
+        away: Sequence[Outside] = ()
         if seen.state != ProgramState.EMPTY:  # what limits there are is known with a program
             machine, limits = t.machine().joints, t.limits()
-            lines += [f"  ! {joint}" for joint in outside(seen, machine, limits)]
+            away = outside(seen, machine, limits)
+            lines += [f"  ! {joint}" for joint in away]
             lines += ["", repr(joints_of(seen, machine, limits)), ""]
         mover = status.moved_by
         moved = f", moved by {mover}" if mover not in ("", status.commander) else ""
@@ -99,8 +103,9 @@ def command(
             f"commanded by {status.commander or 'nobody'}{moved}; if the commanding host is lost:"
             f" {status.host_lost}"
         )
-        if steps := said(way_back(seen, status, t.link.author, held), target, connect):
-            lines.append(f"next: {steps}")
+        steps = way_back(seen, status, t.link.author, held, bool(away), tripped)
+        if steps:
+            lines.append(f"next: {said(steps, target, connect)}")
         emit(status, as_json, "\n".join(lines))
 
 

@@ -46,7 +46,8 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
             away = outside(status, machine.joints, t.limits()) if machine else ()
         held = status.state == ProgramState.RUNNING and bool(values.get(HOLD))
         drive = t.drive_status()
-        steps = said(way_back(status, drive, t.link.author, held), name or target, connect)
+        left = way_back(status, drive, t.link.author, held, bool(away))
+        steps = said(left, name or target, connect)
         body = {
             "info": t.info,
             "status": status,

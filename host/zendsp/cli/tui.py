@@ -16,7 +16,7 @@ import click
 from zendsp.cli.common import parse_names
 from zendsp.cli.completing import machines
 from zendsp.errors import LinkError
-from zendsp.here.ending import SOFT
+from zendsp.here.ending import SOFT, interrupt, let_go_of_terminal
 from zendsp.here.registered import CONNECT
 from zendsp_isr.parts import is_model, machine_source
 
@@ -141,16 +141,17 @@ def command(
     )
     # started with nohup, it would look for keys in a terminal that is gone, for ever
     for number in SOFT:
-        signal.signal(number, signal.SIG_DFL)
+        signal.signal(number, interrupt)
     app.session.stops.guard_keys(target, here=False)
     try:
         with errors_kept():
             app.run()
     finally:
         app.session.stops.release_keys()
-    if app.return_code == 128 + signal.SIGTERM:
-        click.echo("ended by SIGTERM", err=True)
-    click.get_current_context().exit(app.return_code or 0)  # 1 where an error ended the screens
+    status = app.return_code or 0
+    if status > 128:
+        click.echo(f"ended by {signal.Signals(status - 128).name}", err=True)
+    click.get_current_context().exit(status)  # 1 where an error ended the screens
 
 
 @contextlib.contextmanager
@@ -170,6 +171,7 @@ def errors_kept() -> Iterator[None]:
             sys.stderr.flush()
             os.dup2(terminal, 2)
             os.close(terminal)
+            let_go_of_terminal()  # it may be gone by now
             kept.seek(0)
             shutil.copyfileobj(kept, sys.stderr.buffer)
             sys.stderr.flush()

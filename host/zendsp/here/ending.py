@@ -4,6 +4,8 @@ unfinished work is cleaned up; line and exit status say which of them it was.
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
 from types import FrameType
 
@@ -30,7 +32,23 @@ def interrupt(number: int, frame: FrameType | None) -> None:
     """
     if number in SOFT:
         _came.append(number)
+    let_go_of_terminal()
     signal.default_int_handler(number, frame)
+
+
+def let_go_of_terminal() -> bool:
+    """Have standard streams whose terminal is gone lead nowhere, and return whether any had: an
+    error of writing there would keep a command from saving what it has.
+    """
+    gone = False
+    for stream in (0, 1, 2):
+        try:
+            os.tcgetpgrp(stream)
+        except OSError as error:
+            if error.errno == errno.EIO:
+                os.dup2(os.open(os.devnull, os.O_RDWR), stream)
+                gone = True
+    return gone
 
 
 def ended_by() -> signal.Signals:

@@ -30,7 +30,8 @@ HOLD = "hold"  # the parameter by which a lost host, or an abort, brings a progr
 
 
 def way_back(
-    status: m.Status, drive: m.DriveStatus | None, me: str = "", held: bool = False
+    status: m.Status, drive: m.DriveStatus | None, me: str = "", held: bool = False,
+    away: bool = False, acknowledged: m.Trip | None = None,
 ) -> tuple[str, ...]:
     """The steps in their order, as names in `COMMANDS` or as sentences; none where the program
     runs.
@@ -45,6 +46,10 @@ def way_back(
         The host that asks: it need not take the right to command from itself.
     held : bool
         Whether the program's parameter ``hold`` is set.
+    away : bool
+        Whether a joint stands outside its limits.
+    acknowledged : Trip, optional
+        What was acknowledged just now: what led to it is there still.
     """
     drive = drive or m.DriveStatus(state=status.drive)
     unmet = {c.name: c.advice for c in drive.conditions if not c.met}
@@ -55,11 +60,12 @@ def way_back(
     if running and not off:
         steps = ["go_on"] if held else []
     else:
+        trip = status.trip or acknowledged
         # a program that went out of the range would go there again
-        outside = status.trip is not None and status.trip.reason == "position"
+        outside = away or (trip is not None and trip.reason == TripReason.POSITION)
         home = there and (outside or "homed" in unmet)
         enable = (drive.explicit or home) and drive.state != DriveState.ENABLED
-        change = there and status.trip is not None and _by_the_code(status.trip)
+        change = there and trip is not None and _by_the_code(trip)
         needed = {
             "acknowledge": status.trip is not None, "pause": running, CHANGE: change,
             "build": change or not there,

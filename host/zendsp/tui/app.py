@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -18,6 +19,7 @@ from textual.driver import Driver
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Input
 
+from zendsp.here.ending import SOFT, let_go_of_terminal
 from zendsp.tui.actions import ACTIONS, SCREENS, Action, bindings, in_keys
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Message
@@ -36,6 +38,7 @@ from zendsp_isr.sources import gather, shipped_programs
 from zendsp_protocol.states import LATCHED, DriveAction
 
 READ_S = 1.0  # that a message stays, whatever is typed
+LEAVE_S = 10  # within which a signal ends the process, whatever hangs
 PUT_BACK_S = 5.0  # for a run that was stopped to put back what it has set
 
 
@@ -119,8 +122,8 @@ class ZendspApp(TypeAhead):
         self.theme = self._theme_name
         self.session.start()
         if not self.is_headless:  # it leaves the terminal as it was
-            end = partial(self.exit, return_code=128 + signal.SIGTERM)
-            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, end)
+            for number in SOFT:
+                asyncio.get_running_loop().add_signal_handler(number, self._end, number)
         for name in SCREENS:
             self.add_mode(name, partial(self._kept, name))
         self._blind = not self.is_headless
@@ -133,6 +136,15 @@ class ZendspApp(TypeAhead):
             self.targets.connect([f"machine {self._begin}"])
         else:
             self.targets.look_around()
+
+    def _end(self, number: int) -> None:
+        """Leave once no screen is being built; what hangs meanwhile is ended by an alarm. Where the
+        terminal is gone, at once: the policy for a lost host acts, as after ``kill -9``.
+        """
+        if let_go_of_terminal():
+            os._exit(128 + number)
+        signal.alarm(LEAVE_S)
+        self.call_later(partial(self.exit, return_code=128 + number))
 
     def post_display_hook(self) -> None:
         """Once the first picture is drawn, tell the process that reads the keys."""

@@ -16,7 +16,7 @@ from zendsp.parent import call
 POLITELY = "import os; os.nice(10); "
 
 
-INTERRUPTED = 128 + signal.SIGINT  # the exit status of a command that Ctrl-C ended
+INTERRUPTED = -signal.SIGINT  # how a command ends that Ctrl-C ended
 
 
 class Command:

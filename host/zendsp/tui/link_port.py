@@ -91,6 +91,7 @@ class LinkPort:
         self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Value], latency: float
     ) -> Snapshot:
         t, recorder, described = s.timing, self._recorder, self._described
+        away = outside(s, described.joints, self._limits) if described and self._limits else ()
         io = {name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()}
         return Snapshot(
             link=LinkState.UP,
@@ -127,11 +128,9 @@ class LinkPort:
             scheduling=s.scheduling,
             io=io,
             position=positions(s, described.joints) if described and s.homed else (),
-            outside=outside(s, described.joints, self._limits)
-            if described and self._limits
-            else (),
+            outside=away,
             conditions=tuple((c.name, c.met, c.advice) for c in drive.conditions),
-            steps=way_back(s, drive, self.target.link.author, values.get(HOLD) is True),
+            steps=way_back(s, drive, self.target.link.author, values.get(HOLD) is True, bool(away)),
             variables=self._variables,
             values=values,
         )
