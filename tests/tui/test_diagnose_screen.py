@@ -39,7 +39,7 @@ def _drawn(screen: DiagnoseScreen) -> None:
 def _changed(monkeypatch: pytest.MonkeyPatch, change: str) -> None:
     """Let the process that diagnoses run these lines of Python first."""
     begin = "from zendsp.parent import die_with; die_with({})\nimport time, zendsp.cli\n"
-    rest = change + "zendsp.cli.main()\n"
+    rest = change + "from zendsp.__main__ import main\nmain()\n"
     monkeypatch.setattr(command, "call", lambda parent: begin.format(parent) + rest)
 
 
