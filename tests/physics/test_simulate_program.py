@@ -115,14 +115,24 @@ def test_acquire_in_the_code_fixes_the_moment_of_the_row(pendulum: object) -> No
     assert np.all(rec["a"] == 1.0)
 
 
-def test_a_joint_that_the_model_has_not_is_told(pendulum: object) -> None:
-    def told(body: str) -> list[str]:
-        rec = simulate(program(body), pendulum, seconds=0.1)  # type: ignore[arg-type]
-        return list(rec.extra["simulation"]["beyond"])
+@pytest.mark.parametrize(("body", "words"), [
+    ("if (SAMPLE_TICK == 7) a = READ_POSITION(1);", "names joint or channel [1]"),
+    ("a = READ_POSITION(SAMPLE_TICK == 7 ? -1 : 0);", "names joint or channel [-1]"),
+    ("WRITE_TORQUE((int)SAMPLE_TICK / 7 * 12, 0.0);", "names joint or channel [12]"),
+    ("if (SAMPLE_TICK == 7) WRITE_TORQUE(2, 0.1);", "commands joint 3; pendulum has 1"),
+])  # fmt: skip
+def test_a_run_stops_at_the_sample_that_names_a_joint_that_is_not_there(
+    body: str, words: str, pendulum: object
+) -> None:
+    rec = simulate(program(body), pendulum, seconds=0.1)  # type: ignore[arg-type]
+    (said,) = rec.extra["simulation"]["beyond"]
+    assert "stopped in sample 7 (0.007 s), where a target would stop the machine" in said
+    assert words in said and len(rec) == 8
 
-    (said,) = told("if (SAMPLE_TICK == 7) a = READ_POSITION(1);")
-    assert "names joint or channel [1], counted from 0, and pendulum has 1 joint" in said
-    assert not told("a = READ_POSITION(0);")
+
+def test_a_run_that_names_joints_that_are_there_ends_with_its_time(pendulum: object) -> None:
+    rec = simulate(program("a = READ_POSITION(0);"), pendulum, seconds=0.1)  # type: ignore[arg-type]
+    assert len(rec) == 100 and not rec.extra["simulation"]["beyond"]
 
 
 @pytest.mark.parametrize(
@@ -197,25 +207,27 @@ def test_the_command_line_simulates_checks_the_step_and_writes(tmp_path: Path) -
     assert Recording.load(out)["q"].shape == (500, 2)
 
 
-@pytest.mark.parametrize(
-    ("model", "words"),
-    [
-        # a motor of 0.8 N m under the gains of an arm, and a second joint that is not there
-        ("pendulum.toml", (r"joint 1: a command of 184\.\d N m, the limit is 0\.8 N m \(first",
-                           r"commands joint 2; pendulum has 1\. Is it a program for another")),
-        # without any limit the motion itself is what ends it
-        ("single_pendulum.toml", (r"joint 1 ran away: -?\d+ rad after \d+ of 10000 samples",
-                                  r"commands joint 2; single_pendulum has 1")),
-    ],
-)  # fmt: skip
-def test_a_program_that_does_not_fit_the_machine_is_told_and_fails(
-    model: str, words: tuple[str, ...]
-) -> None:
-    done = CliRunner().invoke(command, ["pd.c", "--model", str(MODELS / model)])
+@pytest.mark.parametrize("model", ["pendulum", "single_pendulum"])
+def test_a_program_that_does_not_fit_the_machine_is_told_and_fails(model: str) -> None:
+    done = CliRunner().invoke(command, ["pd.c", "--model", str(MODELS / f"{model}.toml")])
     assert done.exit_code == 1, done.output
-    said = [line for line in done.output.splitlines() if line.startswith("zendsp: ")]
-    for line, pattern in zip(said, words, strict=True):
-        assert re.search(pattern, line), line
+    said = rf"joint or channel \[1\], counted from 0, and {model} has 1 joint\. Is it a program for"
+    assert re.search(r"zendsp: stopped in sample 0 \(0 s\), .*" + said, done.output), done.output
+
+
+@pytest.mark.parametrize(
+    ("model", "line"),
+    [
+        # a motor of 0.8 N m
+        ("pendulum", r"joint 1: a command of \S+ N m, the limit is 0\.8 N m \(first"),
+        # without any limit the motion itself is what ends it
+        ("single_pendulum", r"joint 1 ran away: -?\S+ rad after \d+ of 10000 samples"),
+    ],
+)
+def test_gains_that_are_too_large_are_told(model: str, line: str) -> None:
+    body = "WRITE_TORQUE(0, 400.0 * (READ_POSITION(0) + 0.01));"
+    told = simulate(program(body), MODELS / f"{model}.toml").extra["simulation"]["beyond"]
+    assert any(re.search(line, one) for one in told), told
 
 
 def test_a_run_that_leaves_the_models_positions_says_where(tmp_path: Path) -> None:

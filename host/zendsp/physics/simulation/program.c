@@ -191,9 +191,17 @@ static void note_extremes(host *h, int n) {
     }
 }
 
+/* Whether a target would stop here, as the code names a joint or channel that is not there. */
+static int names_none(const host *h, int n) {
+    int found = h->io.outside != 0;
+    for (int i = n; i < 8; i++)
+        found |= h->beyond[i] >= 0;
+    return found;
+}
+
 /* Run `ticks` samples; UserBackground is called `background` times between two of them. progress[0]
  * is the tick being computed. Returns the samples completed; motion (when it ran away) stops it
- * early. */
+ * early, and so does code that names a joint that is not there. */
 int host_run(host *h, sim *S, int ticks, int decimation, int background,
              const host_channel *channel, int channels, double *out, volatile int32_t *progress) {
     const int n = S->c.joints;
@@ -229,6 +237,10 @@ int host_run(host *h, sim *S, int ticks, int decimation, int background,
         h->isr();
         acquire();
         note_extremes(h, n);
+        if (names_none(h, n)) {
+            k++;
+            break;
+        }
         double command[SIM_MAX];
         /* WRITE_TORQUE counts in torque, the model's commands in their own unit */
         for (int i = 0; i < n; i++)

@@ -34,6 +34,7 @@ Array = npt.NDArray[np.float64]
 Controller = Callable[[float, Array, Array], npt.ArrayLike]
 MAX_INNER = 256
 _LONGEST_S = 3600.0
+_FOR_ANOTHER = "Is it a program for another machine, or does an index run too far?"
 
 
 def simulate(
@@ -175,13 +176,15 @@ def _units(model: Model) -> list[str]:
 def beyond(model: Model, outcome: Outcome) -> list[str]:
     """Return a sentence for each limit of the model that a run left: what, how far, what to do."""
     n, period = joint_count(model), model.sample_time or 0.0
+    none = _names_none(outcome, n, model.name)
+    ran_away = outcome.ticks < outcome.wanted and not none
     said = []
     for j, r in enumerate(outcome.reached[:n], 1):
         unit = model.position_unit(j)
         torque = "N" if unit == "m" else "N m"
         low, high = position_limits(model, j)
         far = max(r.low, r.high, key=abs)
-        if outcome.ticks < outcome.wanted and abs(far) == max(
+        if ran_away and abs(far) == max(
             abs(v) for q in outcome.reached[:n] for v in (q.low, q.high)
         ):
             said.append(
@@ -199,19 +202,27 @@ def beyond(model: Model, outcome: Outcome) -> list[str]:
                 f" {torque} (first at {r.beyond * period:.4g} s). A target would stop the machine:"
                 " take smaller gains, or a slower motion"
             )
-    more = [str(k + 1) for k in range(n, len(outcome.reached)) if outcome.reached[k].beyond >= 0]
-    if more:
+    if none:
+        last = outcome.ticks - 1
         said.append(
-            f"the program commands joint {', '.join(more)}; {model.name} has {n}. Is it a program"
-            " for another machine?"
-        )
-    elif outcome.outside:
-        named = outcome.outside - (outcome.outside > 0)
-        said.append(
-            f"the program names joint or channel [{named}], counted from 0, and {model.name} has"
-            f" {counted(n, 'joint')}. A target would stop the machine"
+            f"stopped in sample {last} ({last * period:.4g} s), where a target would stop the"
+            f" machine: {none}"
         )
     return said
+
+
+def _names_none(outcome: Outcome, n: int, machine: str) -> str:
+    """What a program names that a machine of n joints has not; empty where it has it all."""
+    more = [str(k + 1) for k in range(n, len(outcome.reached)) if outcome.reached[k].beyond >= 0]
+    if more:
+        return f"the program commands joint {', '.join(more)}; {machine} has {n}. {_FOR_ANOTHER}"
+    if not outcome.outside:
+        return ""
+    named = outcome.outside - (outcome.outside > 0)
+    return (
+        f"the program names joint or channel [{named}], counted from 0, and {machine} has"
+        f" {counted(n, 'joint')}. {_FOR_ANOTHER}"
+    )
 
 
 def converge(model: Model, inner: int, positions: Callable[[int], Array]) -> tuple[int, StepCheck]:
