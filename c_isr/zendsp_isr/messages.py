@@ -25,6 +25,11 @@ _NO_TYPE = re.compile(
     r"(?:'_Generic' selector of|controlling expression) type '([^']+?)(?: \*)?'.*not compatible"
 )
 _TYPES = "PARAMETER and SIGNAL take double, float, int32_t, bool, and arrays of them, {}"
+# what gcc and clang say of a static array whose length is JOINTS
+_NO_LENGTH = re.compile(
+    r"variably modified '(?P<outer>\w+)' at file scope|storage size of '(?P<inner>\w+)' isn't constant"
+    r"|variable length array declaration (?:not allowed at file|cannot have 'static')"
+)
 _DEEP = "(*)["  # in the type of a row of three dimensions or more
 
 _SEMICOLON = "expected ';'"
@@ -119,7 +124,15 @@ def without_between(message: Message) -> Message:
 
 
 def _in_our_words(message: Message) -> Message:
-    found = _NO_TYPE.search(message.message[:_QUOTED])
+    text = message.message[:_QUOTED]
+    if length := _NO_LENGTH.search(text):
+        name = length["outer"] or length["inner"] or "q"
+        return replace(
+            message,
+            message=f"the length of '{name}' is no constant, as JOINTS is the machine's: write"
+            f" 'static double {name}[8];', and declare SIGNAL_FIRST({name}, JOINTS, unit, text)",
+        )
+    found = _NO_TYPE.search(text)
     if found is None:
         return message
     deep = "of one or two dimensions: this one has more"

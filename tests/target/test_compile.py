@@ -120,6 +120,14 @@ def test_several_files_and_headers_make_one_program() -> None:
             + 'void f(void) { SIGNAL(k, "", ""); }\n',
             "a pointer is no variable: declare the array itself",
         ),
+        (
+            HEAD + "static double q[JOINTS];\nvoid UserISR_INT2(void) { q[0] = 1.0; }\n",
+            "write 'static double q[8];', and declare SIGNAL_FIRST(q, JOINTS, unit, text)",
+        ),
+        (
+            HEAD + "void UserISR_INT2(void) { static double qd[JOINTS]; qd[0] = 1.0; }\n",
+            "write 'static double qd[8];', and declare SIGNAL_FIRST(qd, JOINTS, unit, text)",
+        ),
     ],
 )
 def test_a_program_that_cannot_run_is_a_compile_error(source: str, says: str) -> None:
