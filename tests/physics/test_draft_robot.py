@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -48,6 +49,20 @@ def table(*joints: str) -> Table:
         columns[f"joint_states.{joint}.position"] = np.sin(k * T)
         columns[f"joint_states.{joint}.effort"] = np.cos(k * T) + np.zeros(N)
     return Table(columns, {"t": "s"}, {}, Path("run.csv"))
+
+
+def test_the_file_says_all_that_was_typed_to_begin_it(
+    robot: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(robot.parent)
+    rows = np.stack([T, np.sin(T), np.cos(T)], axis=1)
+    np.savetxt("run 1.csv", rows, "%.6f", ",", header="t,shoulder.position,shoulder.effort",
+               comments="")  # fmt: skip
+    typed = ["new", "run 1.csv", "-o", "bench.toml", "--robot", "arm.urdf", "--force"]
+    done = CliRunner().invoke(command, typed)
+    assert done.exit_code == 0, done.output
+    first = Path("bench.toml").read_text().splitlines()[0]
+    assert first.endswith(f"begun by: zendsp model {shlex.join(typed)}")
 
 
 def test_joints_that_the_columns_name_are_taken_in_the_robots_order(robot: Path) -> None:

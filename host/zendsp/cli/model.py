@@ -49,13 +49,16 @@ def new(
     from zendsp.physics.files.model_file import parse_model
     from zendsp.recording import read_table
 
+    words = ["zendsp", "model", "new", str(recording)]
+    words += [*(["-o", str(out)] if out else []), *(["--robot", str(robot)] if robot else [])]
+    typed = shlex.join([*words, "--force"] if force else words)
     out = out or model_name(recording)
     if out.exists() and not force:
         raise ModelError(
             f"{out}: is there already; choose another name with -o, or --force to write over it"
         )
     machine = machine_of(recording, out.parent)
-    draft = draft_model(read_table(recording), machine, robot, out.parent)
+    draft = draft_model(read_table(recording), machine, robot, out.parent, typed)
     parse_model(tomllib.loads(draft.text), str(out))  # what is written can be read
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

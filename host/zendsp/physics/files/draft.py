@@ -62,6 +62,7 @@ def draft_model(
     machine: Machine | None = None,
     robot: Path | None = None,
     folder: Path = Path(),
+    typed: str = "",
 ) -> Draft:
     """A commented model file for the machine that a recording shows.
 
@@ -79,6 +80,8 @@ def draft_model(
         A URDF or an MJCF of the machine. Columns that name its joints are put in its order.
     folder : Path
         Where the model file will lie.
+    typed : str
+        The command that begins it, as it stands in its first line; empty: that of the table alone.
 
     Raises
     ------
@@ -115,7 +118,7 @@ def draft_model(
         position, _ = by_joints(position, joints_there)
         command = command and by_joints(command, joints_there)[0]
     page = Page()
-    _head(page, table, f"{nothing}: why?" if bare else "")
+    _head(page, table, typed, f"{nothing}: why?" if bare else "")
     _ask_of_holes(page, [group for group in (position, command) if group is not None])
     if asked and machine is None:
         page.line(ask=asked)
@@ -157,12 +160,10 @@ def _ask_of_holes(page: Page, groups: Sequence[Group]) -> None:
             page.line(ask=f"{group.names[0]} has {bad} {what}: why?")
 
 
-def _head(page: Page, table: Table, ask: str) -> None:
+def _head(page: Page, table: Table, typed: str, ask: str) -> None:
     """Where the file comes from, and how it is read."""
-    page.line(
-        comment=f"Model of the machine in {table.path.name}, begun by: zendsp model new"
-        f" {shlex.quote(table.path.name)}"
-    )
+    typed = typed or shlex.join(["zendsp", "model", "new", table.path.name])
+    page.line(comment=f"Model of the machine in {table.path.name}, begun by: {typed}")
     page.line(
         comment="What the recording cannot tell is asked with a question mark, above its line."
         " docs/models.md explains every key."
