@@ -27,7 +27,7 @@ _NO_TYPE = re.compile(
 _TYPES = "PARAMETER and SIGNAL take double, float, int32_t, bool, and arrays of them, {}"
 # what gcc and clang say of a static array whose length is JOINTS
 _NO_LENGTH = re.compile(
-    r"variably modified '(?P<outer>\w+)' at file scope|storage size of '(?P<inner>\w+)' isn't constant"
+    r"variably modified '(?P<outer>\w+)' at file|storage size of '(?P<inner>\w+)' isn't constant"
     r"|variable length array declaration (?:not allowed at file|cannot have 'static')"
 )
 _DEEP = "(*)["  # in the type of a row of three dimensions or more

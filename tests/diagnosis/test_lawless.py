@@ -82,7 +82,7 @@ def test_joints_that_one_torque_over_their_positions_pulls_are_moved_at_the_same
             SimpleNamespace(effect="unknown", joint=k + 1, mechanism=m)
             for k, m in enumerate(mechanisms)
         ]
-        said = proposal._without_rival(signals, given, [search, search], found, [], 0)
+        said = proposal._without_rival([signals], given, [search, search], found, [], 0)
         assert said is not None and said.reference is not None
         return said.sentence, said.reference[0]
 
@@ -124,9 +124,32 @@ def test_a_joint_that_nothing_drives_is_not_told_to_follow_a_reference() -> None
     search: Any = SimpleNamespace(final=SimpleNamespace(data=fit))
     found: Any = [SimpleNamespace(effect="unknown", joint=1, mechanism="dry_friction")]
     given: Any = SimpleNamespace(limits={}, joints=1, joint_kind=lambda _: "rotary")
-    said = proposal._without_rival(signals, given, [search], found, [], 0)
+    said = proposal._without_rival([signals], given, [search], found, [], 0)
     assert said is not None and said.reference is None
     assert said.sentence.startswith("Nothing drives joint 1: record it again from other")
+
+
+@pytest.mark.parametrize(("effect", "says"), [
+    ("unknown", "Nothing drives joint 2: record it again from other first positions"),
+    ("coulomb", "To confirm coulomb at joint 2, which nothing drives, record it again from other"),
+])  # fmt: skip
+def test_the_pole_of_a_cart_is_not_told_to_follow_a_reference(effect: str, says: str) -> None:
+    """The cart is driven, so a multisine of the pole was proposed, and its file written."""
+    command = np.ones((10, 2))
+    command[:, 1] = 0.0
+    signals: Any = SimpleNamespace(command=command)
+    found: Any = [SimpleNamespace(effect=effect, joint=2, mechanism="dry_friction", confidence=0.4)]
+    given: Any = SimpleNamespace(limits={}, joints=2)
+    said = proposal._without_rival([signals], given, [], found, [], 0)
+    assert said is not None and said.reference is None and said.sentence.startswith(says)
+    found[0].indistinguishable = ("viscous",)
+    search: Any = SimpleNamespace(steps=[])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(proposal, "_separable", lambda finding, _: finding)
+        decisions: Any = [SimpleNamespace(joint=2, final=SimpleNamespace(model=given))]
+        told = proposal.propose([signals], given, [search, search], found, decisions, 0)
+    assert told is not None and told.reference is None
+    assert f"To tell {effect} from viscous at joint 2, which nothing drives, rec" in told.sentence
 
 
 def test_a_push_is_told_from_its_rivals_by_the_same_motion_again(

@@ -265,6 +265,23 @@ def test_compensation_compiles_for_the_isr(folder: Path, tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("undriven", [[], [2]])
+def test_a_joint_that_nothing_drives_gets_no_torque(undriven: list[int], tmp_path: Path) -> None:
+    """The pole of a cart was given a torque against its friction."""
+    report: Any = {
+        "findings": [{"effect": "coulomb", "joint": j, "mechanism": ""} for j in (1, 2)],
+        "refinements": [], "undriven": undriven,
+    }  # fmt: skip
+    level = {"level": Quantity(0.5)}
+    terms = tuple(Term("coulomb", j, level) for j in (1, 2))
+    model = Model("cart", None, "rotary", {}, terms=terms)
+    d: Any = SimpleNamespace(report=lambda: report, improved=model, findings=[], notes=[])
+    files._compensation(d, tmp_path)
+    code = (tmp_path / "compensation.c").read_text()
+    assert "comp_coulomb1_level" in code and ("comp_coulomb2_level" in code) is not bool(undriven)
+    assert ("Not compensated: joint 2, which nothing drives." in code) is bool(undriven)
+
+
 @pytest.mark.parametrize(
     ("refines", "mechanism", "stands"),
     [

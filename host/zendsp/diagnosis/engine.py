@@ -269,6 +269,7 @@ def _with_zeros_given(
         stopped=bool(stopped),
         doubted=doubted(findings, decisions),
         loads=of_other_loads(decisions),
+        undriven=tuple(j for j in joints if not parts.drives(j)),
     )
 
 

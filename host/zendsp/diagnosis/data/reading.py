@@ -196,7 +196,7 @@ def _main_columns(
     position = matrix(name, "position", get, columns["position"], joints)
     n = len(position)
     if "command" in columns:
-        command = matrix(name, "command", get, columns["command"], joints)
+        command = matrix(name, "command", _or_zero(get, n), columns["command"], joints)
     else:
         command = np.zeros_like(position)
     for label, values in (("position", position), ("command", command)):
@@ -216,6 +216,11 @@ def _main_columns(
         else None
     )
     return position, command, reference
+
+
+def _or_zero(get: Getter, n: int) -> Getter:
+    """A getter of n rows that gives zeros for the empty name: of a joint that nothing drives."""
+    return lambda column: get(column) if column else np.zeros(n)
 
 
 def _further_columns(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypedDict
+from typing import NotRequired, TypedDict
 
 from zendsp.physics.effects import get_effect
 
@@ -239,6 +239,7 @@ class Report(TypedDict):
     fit_other_unit: list[FitReport]  # where joints slide and turn
     rejected: list[RejectedReport]
     next_recording: NextReport | None
+    undriven: NotRequired[list[int]]  # joints whose command is zero throughout
     unexplained: str
     notes: list[str]
     seconds: float

@@ -36,6 +36,11 @@ ROUND_S = 0.1
 WEAK = 0.8  # confidence below which a finding is to be confirmed
 COUNTS = 8  # of the sensor: least range of a proposed motion
 OTHER = "a multisine over the recorded range"  # where no rival is known
+# of a joint that nothing drives
+FREE = (
+    "record it again from other first positions and speeds, and with other motions of what is"
+    " driven beside it"
+)
 FARTHER = " Where the machine may go farther or faster than it did, that tells more."
 LINES = (24, 16, 10, 6, 4, 2)  # of the multisine, 0.1 Hz apart
 BOTH_SIDES = 1.6  # times the reach to one
@@ -123,7 +128,7 @@ def propose(
     findings = [_separable(f, finals[f.joint]) for f in findings]
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:
-        other = _without_rival(train[0], given, searches, findings, decisions, seed)
+        other = _without_rival(train, given, searches, findings, decisions, seed)
         return other or _one_torque(findings, finals)
     finding = open_ones[0]
     search = searches[finding.joint - 1]
@@ -132,6 +137,11 @@ def propose(
     if finding.effect not in ("disturbance", "unknown"):
         experiment = get_effect(finding.effect).experiment
     names = ", ".join(finding.indistinguishable)
+    if finding.effect != "disturbance" and not _driven(train, finding.joint):
+        return Next(
+            f"To tell {finding.effect} from {names} at joint {finding.joint}, which nothing drives,"
+            f" {FREE}.",
+        )
     if rival is None:
         return Next(
             f"To tell {finding.effect} from {names} at joint {finding.joint}: {experiment}",
@@ -188,8 +198,13 @@ def _played(signals: Signals, given: Model, motions: Mapping[int, Array], text: 
     return Next(text.format(span), reference)
 
 
+def _driven(train: Sequence[Signals], joint: int) -> bool:
+    """Whether a joint (from 1) has a command that is not zero throughout."""
+    return any(np.any(s.command[:, joint - 1]) for s in train)
+
+
 def _without_rival(
-    signals: Signals,
+    train: Sequence[Signals],
     given: Model,
     searches: Sequence[JointSearch],
     findings: Sequence[Finding],
@@ -208,12 +223,12 @@ def _without_rival(
     )
     lawless = [f for f in findings if f.effect == "unknown"]
     joints = [f.joint for f in lawless] if findings else [*again, *unseen]
-    if joints and not np.any(signals.command):
+    driven = [j for j in joints if _driven(train, j)]
+    if joints and not driven:
         return Next(
-            f"Nothing drives {listed(joints[:1])}: record it again from other first positions and"
-            " speeds. What repeats with the state is physics."
+            f"Nothing drives {listed(joints[:1])}: {FREE}. What repeats with the state is physics."
         )
-    if joints:
+    if joints := driven:
         # what pulls at several joints may depend on where each of them is
         pulled = {f.joint for f in lawless if f.mechanism == PLACE} & set(joints)
         moved = sorted(pulled) if joints[0] in pulled else joints[:1]
@@ -235,10 +250,14 @@ def _without_rival(
             " unexplained, and these recordings would not show it."
         )
         what = "Of the torque without a law, record" if lawless else "Record"
-        return _played(signals, given, motion, f"{what} {listed(moved)} {why}{FARTHER}")
+        return _played(train[0], given, motion, f"{what} {listed(moved)} {why}{FARTHER}")
     weak = [
         f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
     ]
+    if weak and not _driven(train, weak[0].joint):
+        return Next(
+            f"To confirm {weak[0].effect} at joint {weak[0].joint}, which nothing drives, {FREE}."
+        )
     if weak:
         return Next(
             f"To confirm {weak[0].effect} at joint {weak[0].joint}:"

@@ -227,6 +227,7 @@ class Diagnosis:
     doubted: tuple[tuple[str, int], ...] = ()
     loads: tuple[int, ...] = ()  # unexplained joints; numbers of its own explain each recording
     window: float = WINDOW  # s, of the free simulations whose errors these are
+    undriven: tuple[int, ...] = ()  # joints whose command is zero throughout
     zeros: tuple[str, ...] = ()  # a sentence for each joint that has another zero than given
 
     @property
@@ -320,6 +321,7 @@ class Diagnosis:
                     ),
                 }
             ),
+            "undriven": list(self.undriven),
             "unexplained": self.unexplained,
             "notes": list(self.notes),
             "seconds": round(self.seconds, 3),

@@ -178,6 +178,8 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
             else f"Not compensated: the torque without a law at joint {joint}. Its curve is in"
             " report.json."
         )
+    free = {f["joint"] for f in report["findings"]}.intersection(report.get("undriven", ()))
+    sentences += [f"Not compensated: joint {j}, which nothing drives." for j in sorted(free)]
     left = [t for t in d.improved.terms if not any(t is x for x in terms)]
     names = {(r["effect"], r["joint"]) for r in report["refinements"]}
     refining = [t for t in left if (t.effect, t.joint) in names]
@@ -211,6 +213,7 @@ def stands_for(report: Report) -> set[tuple[str, int]]:
     findings, the Coulomb level of a found Stribeck curve, and ripples among the refinements that
     describe a torque over position without a law. Other refinements may be bent to anything: a
     friction could drive the joint, and a spring grows without limit outside the recorded range.
+    None of a joint that nothing drives.
     """
     stand = {(f["effect"], f["joint"]) for f in report["findings"]}
     # a breakaway is counted from zero, so the level to which the friction falls belongs to it
@@ -231,7 +234,7 @@ def stands_for(report: Report) -> set[tuple[str, int]]:
         ]
         if mechanism == "position_torque" and all("order" in get_effect(e).names for e in drawn):
             stand |= {(effect, joint) for effect in drawn}
-    return stand
+    return {(effect, joint) for effect, joint in stand if joint not in report.get("undriven", ())}
 
 
 def finite(value: Any) -> Any:

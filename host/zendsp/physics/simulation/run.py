@@ -301,6 +301,8 @@ def recording(model: Model, out: dict[str, Array], r: Array | None, extra: Extra
         if isinstance(names, list):
             each = unit.split(", ")  # one where all joints are alike
             for j, name in enumerate(names):
+                if not name:  # of a joint that nothing drives
+                    continue
                 columns[name], units[name] = values[:, j], each[min(j, len(each) - 1)]
         else:
             columns[str(names)] = values if values.shape[1] > 1 else values[:, 0]
