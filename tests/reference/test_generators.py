@@ -240,6 +240,27 @@ def test_a_weak_motor_pumps_the_pendulum_up() -> None:
     assert reference.q[-1, 0] == pytest.approx(np.pi, abs=0.05)
 
 
+@pytest.mark.parametrize(("torque", "objective"), [(0.2, "time"), (0.5, "time"), (0.2, "energy")])
+def test_a_swing_keeps_the_limit_of_acceleration(torque: float, objective: str) -> None:
+    """One of 0.2 N m was planned with 242 rad/s^2, beyond the 175 of its headroom."""
+    limited = load_machine("pendulum").limits.acceleration * 0.7
+    reference = make_reference(
+        "swing", "pendulum", torque_limit=torque, objective=objective, duration=3.0, headroom=0.7,
+        intervals=100,
+    )  # fmt: skip
+    assert np.abs(reference.qdd).max() <= limited[0]
+    assert load_machine("pendulum").find_violations(reference) == []
+
+
+def test_a_swing_with_more_torque_than_is_allowed_is_told_what_fits_a_swing() -> None:
+    machine = load_machine("pendulum")
+    reference = make_reference(
+        "swing", machine, torque_limit=0.6, objective="time", headroom=0.7, intervals=20
+    )
+    with pytest.raises(ReferenceError_, match="take a lower torque_limit or a nearer goal, or use"):
+        machine.check(reference)
+
+
 def test_an_impossible_swing_is_refused_with_what_to_change() -> None:
     with pytest.raises(ReferenceError_, match="allow more torque, more time or a nearer goal"):
         make_swing(

@@ -182,6 +182,8 @@ class Kind:
         ``make(machine, *, sample_time, **parameters) -> Reference``.
     machine_kinds : tuple of str
         Kinds of machine it can be planned for; empty for all.
+    takes : str
+        How long the planning takes; empty where it is at once.
 
     Examples
     --------
@@ -196,6 +198,7 @@ class Kind:
     parameters: tuple[Parameter, ...]
     make: Callable[..., Reference]
     machine_kinds: tuple[str, ...] = ()
+    takes: str = ""
 
     def fits(self, machine: Machine) -> bool:
         """Whether this kind can be planned for a machine."""

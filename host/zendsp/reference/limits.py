@@ -116,6 +116,8 @@ class Violation:
 # A limit that is met exactly, as a trapezoid does at its cruise speed, must not fail by the last
 # bit of a sum.
 ROUNDING = 1e-9
+OF_A_PATH = "slow it down, make it smaller, move its centre"
+TO_CHANGE = {"swing": "take a lower torque_limit or a nearer goal"}  # by kind of reference
 MAY_JUMP = ("step", "user", "from_file")  # kinds whose position is meant to, or may be
 
 
@@ -198,7 +200,7 @@ def find_violations(
     return found
 
 
-def raise_violations(found: Sequence[Violation], machine: str) -> None:
+def raise_violations(found: Sequence[Violation], machine: str, kind: str = "") -> None:
     """Turn violations into one error whose message has a line for each.
 
     Parameters
@@ -207,6 +209,8 @@ def raise_violations(found: Sequence[Violation], machine: str) -> None:
         From `find_violations`.
     machine : str
         Named in the message.
+    kind : str
+        Of the reference: what to change in it.
 
     Raises
     ------
@@ -221,6 +225,5 @@ def raise_violations(found: Sequence[Violation], machine: str) -> None:
         lines = "\n".join(f"  {violation}" for violation in found)
         raise ReferenceError_(
             f"reference breaks {len(found)} limit(s) of {machine}:\n{lines}\n"
-            "  slow it down, make it smaller, move its centre, or use more of the limits (headroom"
-            " up to 1)"
+            f"  {TO_CHANGE.get(kind, OF_A_PATH)}, or use more of the limits (headroom up to 1)"
         )

@@ -221,7 +221,7 @@ class Machine:
         >>> import numpy as np
         >>> load_machine("pendulum").check(Reference(np.zeros((5, 1)), 0.001))
         """
-        raise_violations(self.find_violations(reference), self.name)
+        raise_violations(self.find_violations(reference), self.name, reference.kind)
 
 
 def make_limited(
