@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -37,7 +38,18 @@ def stages(*, quiet: bool = False) -> Iterator[Callable[[str], None]]:
 
     console = Console(stderr=True)
     with console.status("starting") as status:
-        yield lambda text: status.update(text)
+        yield lambda text: status.update(Timed(text))
+
+
+class Timed:
+    """A stage with the seconds that it has taken so far, anew in each picture."""
+
+    def __init__(self, text: str) -> None:
+        self._text, self._began = text, time.monotonic()
+
+    def __rich__(self) -> str:
+        seconds = int(time.monotonic() - self._began)
+        return f"{self._text}  {seconds} s" if seconds else self._text
 
 
 @contextmanager

@@ -85,13 +85,13 @@ def _print_row(name: str, row: tuple[float | None, ...]) -> None:
 
 def _finish(
     make: Callable[[], Any], machine: Any, out: str | None, plot: str | None, as_json: bool,
-    check: bool,
+    check: bool, takes: str = "",
 ) -> None:
     """Plan or read the motion with ``make``, then check, save, draw and print it."""
     from zendsp.cli.progress import stages
 
     with stages(quiet=as_json) as tell:
-        tell(f"planning within the limits of {machine.name}")
+        tell(f"planning within the limits of {machine.name}{takes and f' ({takes})'}")
         summary = _made(make(), machine, out, plot, check, tell)
     if as_json:
         click.echo(json.dumps(summary))
@@ -199,7 +199,7 @@ def _make_command(kind: Any) -> click.Command:
         def make() -> Any:
             return make_reference(kind.name, machine, sample_time=sample_time, **chosen)
 
-        _finish(make, machine, out, plot, as_json, not no_check)
+        _finish(make, machine, out, plot, as_json, not no_check, kind.takes)
 
     options: list[click.Parameter] = []
     from zendsp.reference.registry import HEADROOM
