@@ -245,8 +245,7 @@ def _with_zeros_given(
     notes += [n for e in (own, *others) for n in apart(e, verdict)]
     return Diagnosis(
         verdict=verdict,
-        findings=findings,
-        refinements=refinements,
+        findings=findings, refinements=refinements,
         regions=places, times=times, times_of=at,
         unit=own.unit,
         estimation=own.estimation, heldout=own.heldout, test=own.test,
