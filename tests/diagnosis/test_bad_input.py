@@ -26,8 +26,8 @@ from zendsp.diagnosis.data.plausibility import scaled
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import read_divided
 from zendsp.errors import ModelError, RecordingError
-from zendsp.physics.files.model_file import load_model
-from zendsp.recording import Recording
+from zendsp.physics.files.model_file import load_model, parse_model
+from zendsp.recording import Recording, Table
 
 
 @pytest.mark.parametrize("mistake", BAD)
@@ -218,6 +218,23 @@ def test_numbers_in_memory_are_refused_with_the_call_that_makes_a_recording_of_t
         zendsp.diagnose(given, model)
     with pytest.raises(RecordingError, match="is no recording"):
         zendsp.diagnose("run.csv", model, given)
+
+
+def test_the_command_of_a_joint_that_nothing_drives_has_an_empty_name() -> None:
+    """["u", ""] was refused as a column that is not there."""
+    t = np.arange(3000) / 1000
+    columns = {"t": t, "a": np.sin(5 * t), "b": np.sin(7 * t), "u": np.cos(5 * t), "zero": 0 * t}
+
+    def read(second: str) -> Any:
+        model = parse_model({
+            "name": "two", "sample_time": 0.001,
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.01]}},
+            "columns": {"time": "t", "position": ["a", "b"], "command": ["u", second]},
+        })  # fmt: skip
+        return read_signals(Table(columns, {}, {}, Path("run.csv")), model).command
+
+    assert np.any(read("")[:, 0]) and not np.any(read("")[:, 1])
+    assert np.array_equal(read(""), read("zero"))
 
 
 def test_a_data_frame_is_read_as_the_csv_that_it_came_from(
