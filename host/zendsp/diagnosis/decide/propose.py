@@ -36,11 +36,6 @@ ROUND_S = 0.1
 WEAK = 0.8  # confidence below which a finding is to be confirmed
 COUNTS = 8  # of the sensor: least range of a proposed motion
 OTHER = "a multisine over the recorded range"  # where no rival is known
-# of a joint that nothing drives
-FREE = (
-    "record it again from other first positions and speeds, and with other motions of what is"
-    " driven beside it"
-)
 FARTHER = " Where the machine may go farther or faster than it did, that tells more."
 LINES = (24, 16, 10, 6, 4, 2)  # of the multisine, 0.1 Hz apart
 BOTH_SIDES = 1.6  # times the reach to one
@@ -140,7 +135,7 @@ def propose(
     if finding.effect != "disturbance" and not _driven(train, finding.joint):
         return Next(
             f"To tell {finding.effect} from {names} at joint {finding.joint}, which nothing drives,"
-            f" {FREE}.",
+            f" {_again(train)}.",
         )
     if rival is None:
         return Next(
@@ -203,6 +198,13 @@ def _driven(train: Sequence[Signals], joint: int) -> bool:
     return any(np.any(s.command[:, joint - 1]) for s in train)
 
 
+def _again(train: Sequence[Signals]) -> str:
+    """What to do with a joint that nothing drives."""
+    beside = any(np.any(s.command) for s in train)
+    others = ", and with other motions of what is driven beside it" if beside else ""
+    return f"record it again from other first positions and speeds{others}"
+
+
 def _without_rival(
     train: Sequence[Signals],
     given: Model,
@@ -226,7 +228,7 @@ def _without_rival(
     driven = [j for j in joints if _driven(train, j)]
     if joints and not driven:
         return Next(
-            f"Nothing drives {listed(joints[:1])}: {FREE}. What repeats with the state is physics."
+            f"Nothing drives {listed(joints[:1])}: {_again(train)}. What repeats with the state is physics."
         )
     if joints := driven:
         # what pulls at several joints may depend on where each of them is
@@ -256,7 +258,7 @@ def _without_rival(
     ]
     if weak and not _driven(train, weak[0].joint):
         return Next(
-            f"To confirm {weak[0].effect} at joint {weak[0].joint}, which nothing drives, {FREE}."
+            f"To confirm {weak[0].effect} at joint {weak[0].joint}, which nothing drives, {_again(train)}."
         )
     if weak:
         return Next(
