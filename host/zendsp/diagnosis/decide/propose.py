@@ -228,7 +228,8 @@ def _without_rival(
     driven = [j for j in joints if _driven(train, j)]
     if joints and not driven:
         return Next(
-            f"Nothing drives {listed(joints[:1])}: {_again(train)}. What repeats with the state is physics."
+            f"Nothing drives {listed(joints[:1])}: {_again(train)}. What repeats"
+            " with the state is physics."
         )
     if joints := driven:
         # what pulls at several joints may depend on where each of them is
@@ -258,7 +259,8 @@ def _without_rival(
     ]
     if weak and not _driven(train, weak[0].joint):
         return Next(
-            f"To confirm {weak[0].effect} at joint {weak[0].joint}, which nothing drives, {_again(train)}."
+            f"To confirm {weak[0].effect} at joint {weak[0].joint}, which nothing drives,"
+            f" {_again(train)}."
         )
     if weak:
         return Next(
