@@ -26,6 +26,7 @@ BELOW = 0.97  # of the limit of acceleration: the simulation's is up to 1.9 % la
 INTERRUPTED = "NonIpopt_Exception_Thrown"  # Ctrl-C, which the solver takes for an error
 NEAR = 0.05  # rad: most that the simulated motion may miss its goal by
 FINER = (1.5, 2.0)  # times the intervals, where it misses it
+LONGEST_S = 30.0  # of the processor, one solution: where none is, restoration takes minutes
 MORE_INTERVALS = 4  # than the least time asks for
 
 
@@ -110,6 +111,7 @@ def _collocate(
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.max_iter": 400,
+        "ipopt.max_cpu_time": LONGEST_S,
         "ipopt.tol": 1e-7,
         "ipopt.mu_init": barrier,
         "ipopt.acceptable_tol": 1e-5,
