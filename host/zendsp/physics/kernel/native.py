@@ -240,7 +240,7 @@ def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """One process at a time: the kernel takes a compiler half a minute."""
+    """One process at a time: the kernel takes a compiler 20 to 30 s."""
     place = os.open(folder, os.O_RDONLY)
     try:
         with contextlib.suppress(OSError):  # a file system without locks

@@ -222,8 +222,9 @@ def make_swing(
 
     The model is theta1 qdd + theta2 g sin q + theta3 tanh(beta qd) + viscous qd = tau, with |tau|
     <= torque_limit and
-    |k_a qd + R_a tau / k_a| <= supply, within the machine's limits of speed and acceleration. The torque is constant over each interval, an interval is a whole number of
-    samples, so what is optimised is what a sampled controller plays. Torque in, motion out: the
+    |k_a qd + R_a tau / k_a| <= supply, within the machine's limits of speed and acceleration. The
+    torque is constant over each interval, an interval is a whole number of samples, so what is
+    optimised is what a sampled controller plays. Torque in, motion out: the
     motion is the simulation of the model under that torque.
 
     Parameters
@@ -265,7 +266,7 @@ def make_swing(
     >>> ref = make_swing(load_machine("pendulum"), goal=1.0, duration=0.5, intervals=50)
     >>> abs(float(ref.q[-1, 0]) - 1.0) < 0.01
     True
-    """  # noqa: E501
+    """
     if machine.kind != "pendulum":
         raise ReferenceError_(
             f"{machine.name} is no pendulum: the optimal swing is planned for pendulums only"
