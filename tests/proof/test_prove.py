@@ -18,7 +18,7 @@ from zendsp.proof import cases, programme, run_proof
 from zendsp.proof.answer import Answer, Finding
 from zendsp.proof.build_case import NoUsableCase, Request
 from zendsp.proof.mujoco.programme import of_bodies
-from zendsp.proof.programme import REALITIES, requests
+from zendsp.proof.programme import LACK_NOTHING, REALITIES, requests
 from zendsp.proof.seal import BrokenSeal, open_truth, write_truth
 
 FEW = [Request(71, "complete", "rotary"), Request(72, "single", "rotary", "ripple", 1.0)]
@@ -78,6 +78,14 @@ def test_a_sample_is_drawn_before_anything_is_made_as_many_of_each_reality() -> 
     every = requests(3, False, ("own", "mujoco"))
     assert all(r in every for r in few)
     assert len({r.seed for r in every}) == len(every)
+
+
+def test_nulls_are_the_machines_that_lack_nothing_of_every_reality_600_and_more() -> None:
+    nulls = requests(3, False, REALITIES, nulls=True)
+    every = requests(3, False, REALITIES)
+    assert {r.kind for r in every if r.kind in LACK_NOTHING} == set(LACK_NOTHING)
+    assert nulls == [r for r in every if r.kind in LACK_NOTHING] and len(nulls) == 702
+    assert {r.reality for r in requests(3, False, REALITIES, 9, nulls=True)} == set(REALITIES)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 7])

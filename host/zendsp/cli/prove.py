@@ -82,6 +82,10 @@ def realities(words: str) -> tuple[str, ...]:
     help="Only so many of the cases, drawn by the seed: of each reality, and of every sort.",
 )
 @click.option(
+    "--nulls", is_flag=True,
+    help="Only the machines that lack nothing, 702: how many false alarms are there?",
+)
+@click.option(
     "--given",
     type=click.Choice(["urdf", "mjcf"]),
     default="urdf",
@@ -143,6 +147,7 @@ def command(
     scheduler: str,
     seed: int,
     sample: int | None,
+    nulls: bool,
     given: str,
     make_only: Path | None,
     judge_only: Path | None,
@@ -201,8 +206,11 @@ def command(
                     )
                 if not resume:
                     forget(folder)
-                made = making(folder, makers, seed, quick, sample or 0, given, cores, scheduler)
-                words = _words(makers, seed, quick, sample, given)
+                from zendsp.proof.programme import prepare, requests
+
+                wanted = requests(seed, quick, makers, sample or 0, given, nulls)
+                made = prepare(folder, wanted, cores, scheduler)
+                words = _words(makers, seed, quick, sample, given, nulls)
         except (FileExistsError, FileNotFoundError) as error:
             raise click.ClickException(str(error)) from error
         if make_only is not None:
@@ -265,11 +273,14 @@ def _kept_of_machines(folder: Path, implant: bool) -> str:
     )
 
 
-def _words(makers: Sequence[str], seed: int, quick: bool, sample: int | None, given: str) -> str:
+def _words(
+    makers: Sequence[str], seed: int, quick: bool, sample: int | None, given: str, nulls: bool
+) -> str:
     """The command that makes the same cases again, for the page."""
     words = ["zendsp prove", *(["--quick"] if quick else [])]
     words.append(f"--reality {','.join(makers)} --seed {seed}")
     words += [f"--sample {sample}"] if sample else []
+    words += ["--nulls"] if nulls else []
     return " ".join(words + (["--given mjcf"] if given == "mjcf" else []))
 
 
@@ -278,22 +289,6 @@ def prepared(folder: Path) -> Prepared:
     from zendsp.proof.programme import found
 
     return found(folder)
-
-
-def making(
-    folder: Path,
-    makers: Sequence[str],
-    seed: int,
-    quick: bool,
-    sample: int,
-    given: str,
-    jobs: int,
-    scheduler: str,
-) -> Prepared:
-    """Write and seal the cases that the options name."""
-    from zendsp.proof.programme import prepare, requests
-
-    return prepare(folder, requests(seed, quick, makers, sample, given), jobs, scheduler)
 
 
 def judging(

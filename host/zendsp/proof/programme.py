@@ -57,6 +57,7 @@ QUICK: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
 # development uses seeds below 500 000, the sealed set of development 710 000 and up
 FIRST_SEED = 2_000_000
 REALITIES = ("own", "machines", "mujoco")
+LACK_NOTHING = ("complete", "complete_slow", "nuisance", "hard_complete")
 
 
 def own(first_seed: int, turn: int, quick: bool) -> list[Request]:
@@ -104,8 +105,9 @@ def requests(
     realities: Sequence[str] = ("own",),
     sample: int = 0,
     given: str = "urdf",
+    nulls: bool = False,
 ) -> list[Request]:
-    """Every case of a run; `seed` moves all of them.
+    """Every case of a run; `seed` moves all of them. With `nulls`, those that lack nothing.
 
     With `sample`, so many of them drawn by the seed: as many of each reality, as far as it has
     them, and some of every sort of case where there is room. With `given` "mjcf",
@@ -120,6 +122,8 @@ def requests(
             groups.append(shipped.requests(first + 40_000, quick))
         else:  # MuJoCo itself is not needed to say what will be made
             groups.append(mujoco.requests(first + 50_000, quick))
+    if nulls:
+        groups = [[r for r in group if r.kind in LACK_NOTHING] for group in groups]
     if sample:
         rng = random.Random(seed)
         shares = shared_out(sample, [len(group) for group in groups])
