@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from integrated import J, N, State, T, command, integrate, kernel, recorded, rigid
+from integrated import STIFF, TANH, J, N, State, T, command, integrate, kernel, recorded, rigid
 from scipy.optimize import brentq
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.files.model_file import parse_model
 
@@ -93,6 +94,46 @@ def test_a_spring_that_rings_when_a_recording_begins_is_no_missing_torque(side: 
         r = run(record, model, 16.0, inner=8, begun=True).innovations
         off.append(float(np.sqrt(np.mean(r**2))))
     assert off[1] < 3.0 * off[0]
+
+
+def test_a_load_that_rings_behind_a_motor_that_sticks_bends_no_number_of_a_fit() -> None:
+    """Let go with its spring unbent, a load swung while dry friction held the motor; a fit that
+    began with it hanging still made the damping of an arm's joint six times too large.
+    """
+    k, c, load, level, weight, at = 60.0, 0.02, 0.006, 0.16, 0.1, 0.8
+
+    def derivative(x: State, _t: float, u: float) -> State:
+        spring = k * (x[0] - x[2]) + c * (x[1] - x[3])
+        rub = level * math.tanh(x[1] / TANH)
+        pull = weight * math.sin(at + x[2])
+        return x[1], (u - spring - rub) / (J - load), x[3], (spring - pull) / load
+
+    true = at + integrate(derivative, 4, sub=STIFF)[:, 0]
+    assert np.ptp(true[:20]) < 1e-4 < np.ptp(true)
+    terms = [
+        {"kind": "coulomb", "level": {"value": 0.9 * level}},
+        {
+            "kind": "elasticity", "stiffness": {"value": 1.2 * k}, "damping": {"value": 2 * c},
+            "load_inertia": {"value": 0.9 * load},
+        },
+    ]  # fmt: skip
+    model = parse_model(
+        {
+            "sample_time": T,
+            "mechanism": {
+                "kind": "rotary",
+                "parameters": {"inertia": {"value": J}, "gravity": {"value": weight}},
+            },
+            "effect": [{"joint": 1, **term} for term in terms],
+        }
+    )
+    t, q, u = np.arange(N) * T, true[:, np.newaxis], command()[:, np.newaxis]
+    data = prepare([Signals("run", t, T, q, u, None, np.full(1, 1e-5))], model, 64.0)
+    fitted = calibrate_joint(data, model, 1).model
+    friction, spring = fitted.terms
+    assert friction.value("level") == pytest.approx(level, rel=0.001)
+    assert spring.value("stiffness") == pytest.approx(k, rel=0.003)
+    assert spring.value("damping") == pytest.approx(c, rel=0.04)
 
 
 ORDER, ERROR, PHASE, WEIGHT, ROTOR = 3.0, 0.02, 0.4, 0.2, 0.003

@@ -19,6 +19,7 @@ from zendsp.physics.calibration.predict import (
     fill_rigid,
     fill_shift,
     pack,
+    unbent,
 )
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.native import LANES, native
@@ -55,6 +56,7 @@ class Points:
         self.packed = pack(model.at(record.joint))
         self._base = native().ffi.new("zk_model *")
         self._alive = fill(self._base, record, model, bandwidth, inner, packed=self.packed)
+        self._base.unbent = unbent(record, model, bandwidth, inner)
         # of each handle that this joint feels, by what it moves
         self._cells: list[tuple[int, int, int, int]] = []  # handle, row, column, less
         self._ratios: list[tuple[int, int, int, int]] = []  # handle, row, column, that of what

@@ -55,6 +55,7 @@ typedef struct {
     /* initial state, and its acceleration: it says how far a spring is bent when the recording
      * begins */
     double q0, qd0, a0;
+    double unbent;            /* 1: no spring is bent then, whatever its load needs */
     double b0, bd0;           /* by how much the unseen side is ahead of that, and faster */
     int load_sensor;          /* 1: the sensor sits on the load */
     int beyond;               /* 1: states are those of the side that the sensor does not see */

@@ -76,7 +76,7 @@ static __attribute__((noinline)) double OF(begin_wavy)(const OF(numbers) *N, int
     return slope;
 }
 
-/* A spring is bent by what the load needs. */
+/* A spring is bent by what the load needs, or not at all. */
 INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l, double hangs)
 {
     const zk_model *M = &O->M[l];
@@ -89,6 +89,7 @@ INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l, double hangs
     /* k x + k3 x^3 = push by Newton's method, which converges from above */
     for (int i = 0; i < 20 && k3 > 0; i++)
         bent -= (k * bent + k3 * bent * bent * bent - push) / (k + 3 * k3 * bent * bent);
+    bent *= 1 - M->unbent;
     if (O->side) { X->q[l] += bent + M->b0; X->qd[l] += M->bd0; }
     else { X->ql[l] += M->b0 - bent; X->qdl[l] += M->bd0; }
 }

@@ -47,7 +47,7 @@ typedef struct {
     const double *m; double shift; const double *half; const double *k1; const double *k2; const double *w;
     const double *inertia; const double *bias; const double *bias_slope; double reference; double gravity; const double *other; const double *temperature;
     const double *extra;
-    int nfx; const int *kind; const double *p; double q0; double qd0; double a0; double b0; double bd0; int load_sensor; int beyond; int reset;
+    int nfx; const int *kind; const double *p; double q0; double qd0; double a0; double unbent; double b0; double bd0; int load_sensor; int beyond; int reset;
     const double *rq; const double *rqd; const double *rb; const double *rbd; double t0;
     double kp; double kd; const double *ref; double resolution; double *uloop;
 } zk_model;
