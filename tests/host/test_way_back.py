@@ -14,6 +14,7 @@ NO_MOTOR = Trip("torque", 2, 7, 0.5, 0.0, cause="the code writes to a joint with
 NOT_THERE = Trip("outside", 0, 7, 1.0, 1.0, cause="the code names a joint that is not there")
 NO_JOINT = Trip("command", 3, 7, 50.0, 0.0, cause="the code writes to joint 3")
 NO_NUMBER = Trip("nan", 1, 7, float("nan"), 0.0, cause="the code computed nan")
+FELL = Trip("position", 4, 7, 3.2, 3.1, cause="the program commands it 0", idle=True)
 TOO_MUCH = Trip("torque", 1, 7, 5.0, 4.0, cause="it exceeds the limit")
 
 
@@ -44,6 +45,8 @@ def conditions(**unmet: str) -> tuple[Condition, ...]:
         ("stopped", OUT, "tripped", True, {"no_trip": "x", "homed": "x"},
          ("acknowledge", "home", "enable", "start")),
         # it would do the same again
+        ("stopped", FELL, "tripped", False, {"no_trip": "x"},
+         ("acknowledge", "change the program", "build", "home", "enable", "start")),
         ("stopped", NO_MOTOR, "tripped", False, {"no_trip": "x"},
          ("acknowledge", "change the program", "build", "start")),
         ("stopped", NO_JOINT, "tripped", True, {"no_trip": "x"},

@@ -160,6 +160,19 @@ def test_a_joint_stopped_beyond_its_limit_goes_no_further_out(make_runtime: Make
     # 0.02 rad of room for the soft start, where it came to rest after the first trip, and a
     # sample's motion
     assert again.value < stopped.value + 0.1
+    assert not stopped.idle and "commands it 0" not in stopped.text
+
+
+@pytest.mark.parametrize("fall", [{"position_min": [0.5]}, {"speed_max": [2.0]}])
+def test_a_joint_that_its_program_leaves_to_its_weight_is_told_so(
+    make_runtime: Make, fall: dict[str, list[float]]
+) -> None:
+    runtime = make_runtime(CONSTANT, machine="pendulum", machine_config={"q1": 1.5})
+    runtime.wait_applied(runtime.set_limits("test", **fall), 10.0)
+    run(runtime, 1500)
+    trip = trip_of(runtime)
+    assert trip.reason in ("position", "speed") and trip.idle, trip
+    assert "; the program commands it 0, so nothing holds it (sample" in trip.text
 
 
 SLOW = (

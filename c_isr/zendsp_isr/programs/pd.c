@@ -1,5 +1,6 @@
 /* pd.c: PD control of the planar arm around a circle in joint space, or around a reference that the
- * host has downloaded.
+ * host has downloaded. It commands joints 1 and 2 and holds no weight: the arm's axes are vertical.
+ * For other machines there is joint_pd.c.
  *
  *     tau = Kp (r - q) + Kd (rd - qd)
  *     rd, qd: differences of r and q through a first-order filter

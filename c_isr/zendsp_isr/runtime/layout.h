@@ -210,7 +210,7 @@ typedef struct trip_latch {
     uint64_t shown; /* `newest`, once a snapshot is of that sample */
     double value, limit;
     uint32_t acted; /* 1 once the machine was given the safe outputs: not to be told before */
-    uint32_t pad;
+    uint32_t idle;  /* of a limit of position or speed: 1 where the program commands 0 there */
     char by[LAYOUT_WHO]; /* of a STOP: who asked, and when */
 } trip_latch;
 

@@ -25,6 +25,8 @@ void safety_trip(runner *r, uint32_t reason, int joint, double value, double lim
     r->state.unseen = true;
     c->trip.value = value;
     c->trip.limit = limit;
+    c->trip.idle = (reason == TRIP_POSITION || reason == TRIP_SPEED) && c->running == RUN_ISR &&
+                   r->buffers.now.cmd[joint - 1] == 0.0;
     memset(c->trip.by, 0, sizeof c->trip.by);
     if (reason == TRIP_STOP)
         memcpy(c->trip.by, r->page->by, sizeof r->page->by - 1);

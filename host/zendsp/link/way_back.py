@@ -79,11 +79,12 @@ def way_back(
 
 
 def _by_the_code(trip: m.Trip) -> bool:
-    """Whether the code itself is wrong: it named a joint that is not there, or wrote what is no
-    command: no number, or to an output that the machine has not, which has no limit.
+    """Whether the code itself is wrong: it named a joint that is not there, left one to its weight,
+    or wrote what is no command: no number, or to an output that the machine has not, which has no
+    limit.
     """
     nowhere = trip.reason in (TripReason.TORQUE, TripReason.COMMAND) and trip.limit == 0.0
-    return nowhere or trip.reason in (TripReason.NAN, TripReason.OUTSIDE)
+    return nowhere or trip.idle or trip.reason in (TripReason.NAN, TripReason.OUTSIDE)
 
 
 def after(status: m.Status, drive: m.DriveStatus | None) -> str:

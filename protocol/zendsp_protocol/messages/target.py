@@ -70,6 +70,7 @@ class Trip(Message, frozen=True):
     text: str = ""  # a sentence for people
     cause: str = ""  # its first words: what broke which limit
     number: int = 0  # of trips, and STOPs beside them, of this target; moves on with a STOP
+    idle: bool = False  # of position or speed: the program commands 0 to this joint
 
 
 class Status(Message, frozen=True):

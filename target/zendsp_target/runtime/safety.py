@@ -33,6 +33,7 @@ _ASKED = {
     TripReason.HOST_LOST: "the host that commanded the motion is gone",
 }
 _NOBODY = "the target's monitor stood still: nobody would have seen that the host is lost"
+_IDLE = "; the program commands it 0, so nothing holds it"  # after what a joint passed
 _LOOKS = 100  # until two are the same: one may be acknowledged, and another latched, meanwhile
 _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
 
@@ -79,9 +80,10 @@ def _trip_in(control: Any, machine: MachineInfo) -> Trip | None:
         return None
     joint, tick, value, limit = int(raw.joint), int(raw.tick), float(raw.value), float(raw.limit)
     said = _NOBODY if raw.reason == _UNWATCHED else _cause(machine, reason, joint, value, limit)
-    cause = said + _by(bytes(ffi.buffer(raw.by)))
+    idle = bool(raw.idle) and machine.joints[joint - 1].command != "none"
+    cause = said + _IDLE * idle + _by(bytes(ffi.buffer(raw.by)))
     text = f"{cause} (sample {tick}); outputs are safe until acknowledged"
-    return Trip(reason, joint, tick, value, limit, text, cause)
+    return Trip(reason, joint, tick, value, limit, text, cause, idle=idle)
 
 
 def asked_trip(reason: TripReason, tick: int, by: bytes = b"") -> Trip:
