@@ -23,7 +23,7 @@ from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_s
 from zendsp.diagnosis.measure.where import Missing, Region, mismatch
 from zendsp.diagnosis.report import figures, laws
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
-from zendsp.diagnosis.report.curve_panels import beside_the_law, broken
+from zendsp.diagnosis.report.curve_panels import beside_the_law, broken, off_the_means
 from zendsp.diagnosis.report.drawing import SPANS, draw, places
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import in_waves, unclaimed_chart
@@ -220,6 +220,23 @@ def test_the_figure_of_a_law_says_that_something_else_is_left(left: float, said:
     law = Curve("velocity", none, x, 0.05 * np.sign(x), zero + 0.001, against=False)
     after = Curve("velocity", none, x, left * (x == 0.5), zero + 0.001, against=False)
     assert beside_the_law(law, after, "velocity [rad/s]", "N m") == said
+
+
+@pytest.mark.parametrize(("branch", "said"), [
+    (0.0, ""),
+    (0.004, ""),  # less than a tenth of what is shown
+    (0.02, " Dots lie off the means, by 0.019 N m (RMS) at velocity 0 rad/s: that torque depends on"
+           " more than the velocity, or passes too fast to be followed."),
+])  # fmt: skip
+def test_a_loop_in_the_figure_of_a_law_is_told(branch: float, said: str) -> None:
+    """Noise of 0.001 N m about a straight line of 0.058 N m RMS, and two branches about rest."""
+    rng = np.random.default_rng(1)
+    x = np.tile(np.linspace(-1.0, 1.0, 400), 2)
+    loop = np.repeat([branch, -branch], 400) * np.exp(-((x / 0.15) ** 2))
+    torque = 0.1 * x + loop + rng.normal(0.0, 0.001, len(x))
+    samples = Samples(x, torque, np.full(len(x), 1e6), np.repeat([0, 1], 400))
+    curve = Curve("velocity", samples, *binned(samples, 21), against=False)
+    assert off_the_means(curve, 0.058, "velocity [rad/s]", "N m") == said
 
 
 def test_the_first_of_several_recordings_is_drawn_by_its_own_clock() -> None:

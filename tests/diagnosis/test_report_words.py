@@ -85,9 +85,21 @@ def test_an_unknown_remainder_is_never_called_small() -> None:
 
 def test_dry_friction_between_joints_is_not_called_a_mass() -> None:
     coupling, inertia = (word_of("inertia", (law,)) for law in ("coupling", "inertia"))
-    text = verdict_sentence("missing", [(coupling, ("coupling",), 1)])
+    text = verdict_sentence("missing", [(coupling, ("coupling",), 1, 0.9)])
     assert text == "Missing physics: the other joints' motion (coupling) at joint 1."
-    assert "mass" in verdict_sentence("missing", [(inertia, ("inertia",), 1)])
+    assert "mass" in verdict_sentence("missing", [(inertia, ("inertia",), 1, 0.9)])
+
+
+def test_the_headline_tells_what_is_doubtful_from_what_is_probable() -> None:
+    dry, fluid = "dry friction", "fluid friction"
+    found = [(dry, ("coulomb",), 1, 0.97), (fluid, ("unknown",), 2, 0.93)]
+    assert verdict_sentence("missing", [*found, (dry, ("coulomb",), 2, 0.42)]) == (
+        "Missing physics: dry friction (coulomb) at joint 1; fluid friction (unknown) at joint 2."
+        " Doubtful: dry friction (coulomb, 42 %) at joint 2."
+    )
+    assert verdict_sentence("missing", [("a disturbance", ("disturbance",), 1, 0.5)]) == (
+        "Perhaps missing physics: a disturbance (50 %) at joint 1."
+    )
 
 
 def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zendsp.diagnosis.decide.contract import WORDS, Verdict, listed, two_digits
+from zendsp.diagnosis.decide.thresholds import STATED_BESIDE
 
 SMALLEST_SHARE = 1e-4  # of a torque: less cannot be told from zero
 LARGEST_SHARE = 9.99
 
 TILTED = "how the base stands"
+Said = tuple[str, Sequence[str], int, float]  # word, effects, joint and confidence of a finding
 
 
 def word_of(mechanism: str, effects: Sequence[str]) -> str:
@@ -31,7 +33,7 @@ def word_of(mechanism: str, effects: Sequence[str]) -> str:
 
 def verdict_sentence(
     verdict: Verdict,
-    found: Sequence[tuple[str, Sequence[str], int]],
+    found: Sequence[Said],
     unseen: Sequence[int] = (),
     left: Sequence[tuple[int, float]] = (),
     near: Sequence[tuple[str, int]] = (),
@@ -42,9 +44,9 @@ def verdict_sentence(
 
     Parameters
     ----------
-    found : sequence of (word, effects, joint)
+    found : sequence of (word, effects, joint, confidence)
         ``word``: the mechanism's, see ``word_of``. ``effects``: the named one, and those that
-        cannot be told from it.
+        cannot be told from it. ``confidence``: below 0.7 it is called doubtful.
     unseen : sequence of int
         Joints about which the recordings show nothing, see ``dark``.
     left : sequence of (joint, share)
@@ -57,18 +59,23 @@ def verdict_sentence(
 
     Examples
     --------
-    >>> drives = [("the actuator", ("lag", "delay"), 1), ("the actuator", ("lag",), 2)]
+    >>> drives = [("the actuator", ("lag", "delay"), 1, 0.9), ("the actuator", ("lag",), 2, 0.9)]
     >>> verdict_sentence(Verdict.MISSING, drives)
     'Missing physics: the actuator (lag or delay) at joint 1; the actuator (lag) at joint 2.'
-    >>> same = [("dry friction", ("coulomb",), joint) for joint in (1, 2, 3)]
+    >>> same = [("dry friction", ("coulomb",), joint, 0.9) for joint in (1, 2, 3)]
     >>> verdict_sentence(Verdict.MISSING, same)
     'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
-    >>> drives = [(what, (what,), 1) for what in ("lag", "delay", "creep")]
+    >>> drives = [(what, (what,), 1, 0.9) for what in ("lag", "delay", "creep")]
     >>> verdict_sentence(Verdict.MISSING, drives)
     'Missing physics: lag (lag), delay (delay) and creep (creep) at joint 1.'
-    >>> verdict_sentence(Verdict.MISSING, [(WORDS["inertia"], ("payload",), 2)])
+    >>> two = [("lag", ("lag",), 1, 0.9), ("delay", ("delay",), 2, 0.4)]
+    >>> verdict_sentence(Verdict.MISSING, two)
+    'Missing physics: lag (lag) at joint 1. Doubtful: delay (delay, 40 %) at joint 2.'
+    >>> verdict_sentence(Verdict.MISSING, [("lag", ("lag",), 1, 0.4)])
+    'Perhaps missing physics: lag (lag, 40 %) at joint 1.'
+    >>> verdict_sentence(Verdict.MISSING, [(WORDS["inertia"], ("payload",), 2, 0.9)])
     'Other than the model says: a mass or an inertia (payload) at joint 2.'
-    >>> verdict_sentence(Verdict.MISSING, [(TILTED, ("base_tilt",), 1)])
+    >>> verdict_sentence(Verdict.MISSING, [(TILTED, ("base_tilt",), 1, 0.9)])
     'Other than the model says: how the base stands (base_tilt).'
     >>> verdict_sentence(Verdict.COMPLETE, [], left=[(1, 0.015)]).rpartition(" and ")[2]
     'has no name: 1.5 % of the torque of joint 1.'
@@ -111,12 +118,29 @@ def verdict_sentence(
             "Unexplained: something is missing that no known effect describes; no physics is"
             " claimed."
         )
+    return _missing(found)
+
+
+def _missing(found: Sequence[Said]) -> str:
+    """The findings in a sentence; the doubtful ones in one of their own, with their confidence."""
+    masses = all(word in (WORDS["inertia"], TILTED) for word, *_ in found)
+    sure = [f for f in found if f[3] >= STATED_BESIDE]
+    doubtful = [f for f in found if f[3] < STATED_BESIDE]
+    begin = "Other than the model says" if masses else "Missing physics"
+    perhaps = "Doubtful" if sure else f"Perhaps {begin[0].lower()}{begin[1:]}"
+    said = [(begin, _places(sure, False)), (perhaps, _places(doubtful, True))]
+    return " ".join(f"{what}: {places}." for what, places in said if places)
+
+
+def _places(found: Sequence[Said], confidence: bool) -> str:
+    """What is missing at which joints, with its confidence if asked for."""
     at: dict[int, list[str]] = {}
-    for word, effects, joint in found:
-        if word != WORDS["disturbance"]:
-            word += f" ({' or '.join(effects)})"
-        if word not in at.setdefault(joint, []):
-            at[joint].append(word)
+    for word, effects, joint, probability in found:
+        within = [] if word == WORDS["disturbance"] else [" or ".join(effects)]
+        within += [f"{100 * probability:.0f} %"] * confidence
+        what = f"{word} ({', '.join(within)})" if within else word
+        if what not in at.setdefault(joint, []):
+            at[joint].append(what)
     joints: dict[str, list[int]] = {}
     for joint, words in at.items():
         *first, last = words
@@ -125,9 +149,7 @@ def verdict_sentence(
         what if what.startswith(TILTED) and " and " not in what else f"{what} at {listed(numbers)}"
         for what, numbers in joints.items()
     ]
-    masses = all(word in (WORDS["inertia"], TILTED) for word, _, _ in found)
-    begin = "Other than the model says" if masses else "Missing physics"
-    return f"{begin}: {'; '.join(where)}."
+    return "; ".join(where)
 
 
 def _at(laws: Sequence[tuple[str, int]]) -> str:

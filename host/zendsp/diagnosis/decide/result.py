@@ -257,7 +257,10 @@ class Diagnosis:
         """The verdict in one or two sentences, the mechanism first."""
         if self.stopped and not self.findings:
             return "Interrupted before it was done: nothing is claimed."
-        found = [(f.word, (f.effect, *f.indistinguishable), f.joint) for f in self.findings]
+        found = [
+            (f.word, (f.effect, *f.indistinguishable), f.joint, f.confidence)
+            for f in self.findings
+        ]
         unseen = dark((x.joint, x.interval) for x in self.discrepancy)
         table, left = self.test or self.heldout, self.nameless
         near = nearest(self.verdict, self.rejected)

@@ -18,7 +18,7 @@ from zendsp.diagnosis.report.sides import torque_label, units_at
 
 Array = npt.NDArray[np.float64]
 DOTS = 4000  # of a panel
-CONTRADICTS = 4.0  # standard errors: means further from the law contradict it
+CONTRADICTS = 4.0  # standard errors: what is further away contradicts a law, or a mean
 LITTLE = 0.1  # of a law: a smaller difference from it is not mentioned
 BRIDGED = 3.5  # widths of a bin that a line may cross: two empty bins, and rounding
 
@@ -86,12 +86,48 @@ def beside_the_law(law: Curve, after: Curve, xlabel: str, unit: str) -> str:
             return f"{bars}: what lies beside the law is less than a tenth of it."
         return f"{bars}: the means lie on the law within {f'{most} of ' if most > 1 else ''}them."
     k = int(np.argmax(np.where(beside, np.abs(after.mean), 0.0)))
-    what, _, of = xlabel.rstrip("]").partition(" [")
+    what, of = _what_of(xlabel)
     at = f"{what} {after.at[k]:.2g} {of}".rstrip()
     return (
         f"Beside the law something is left: {abs(after.mean[k]):.2g} {unit} at {at},"
         f" {apart[k]:.0f} standard errors (the bars)."
     )
+
+
+def off_the_means(curve: Curve, size: float, xlabel: str, unit: str) -> str:
+    """A sentence on dots that lie off their means by more than their noise, as branches of a loop
+    do, where they do most; "" where none do.
+
+    Parameters
+    ----------
+    size : float
+        Of the torque that is shown, RMS: a smaller part of it is not mentioned.
+    """
+    s, at = curve.samples, curve.at
+    if len(at) < 2:
+        return ""
+    near = np.searchsorted(0.5 * (at[1:] + at[:-1]), s.x)
+    weight = s.weight * (np.abs(s.x - at[near]) <= 0.51 * np.diff(at).min())
+    apart = (s.torque - np.interp(s.x, at, curve.mean)) ** 2
+    energy, total, count = (
+        np.bincount(near, w, len(at)) for w in (weight * apart, weight, weight > 0.0)
+    )
+    scatter = np.sqrt(energy / np.maximum(total, 1e-300))
+    k = int(np.argmax(np.where(energy > CONTRADICTS**2 * count, scatter, 0.0)))
+    if not energy[k] > CONTRADICTS**2 * count[k] or scatter[k] < LITTLE * size:
+        return ""
+    what, of = _what_of(xlabel)
+    where = 0.0 if abs(at[k]) < 1e-9 * np.ptp(at) else at[k]
+    return (
+        f" Dots lie off the means, by {scatter[k]:.2g} {unit} (RMS) at {what} {where:.2g} {of}:"
+        f" that torque depends on more than the {what}, or passes too fast to be followed."
+    ).replace("  ", " ")
+
+
+def _what_of(xlabel: str) -> tuple[str, str]:
+    """Variable and unit of an axis' label."""
+    what, _, of = xlabel.rstrip("]").partition(" [")
+    return what, of
 
 
 def curve_panel(

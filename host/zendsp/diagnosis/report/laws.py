@@ -19,7 +19,13 @@ from zendsp.diagnosis.measure.curve import BINS, Axis, Curve, Samples, binned, c
 from zendsp.diagnosis.measure.discrepancy import band_of
 from zendsp.diagnosis.measure.where import AROUND, VARIABLES, Missing, mismatch
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
-from zendsp.diagnosis.report.curve_panels import common_limits, curve_panel, law_name, two_panels
+from zendsp.diagnosis.report.curve_panels import (
+    common_limits,
+    curve_panel,
+    law_name,
+    off_the_means,
+    two_panels,
+)
 from zendsp.diagnosis.report.sides import (
     Sides,
     as_given,
@@ -119,8 +125,15 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     chart = two_panels(d, finding, index, [law, *curves], (two.was, two.now))
     panels = tuple(replace(p, xlabel=along or p.xlabel) for p in chart.panels)
     flat = f" What lasts less than {1e3 * AROUND / band:.0f} ms is flatter here than it is."
-    title = _title(finding, joint, two, units_at(d, joint)["torque"])
-    return replace(chart, title=title, panels=panels, note=chart.note + flat)
+    torque = units_at(d, joint)["torque"]
+    off = off_the_means(curves[1], _size(law), panels[1].xlabel, torque)
+    title = _title(finding, joint, two, torque)
+    return replace(chart, title=title, panels=panels, note=chart.note + flat + off)
+
+
+def _size(curve: Curve) -> float:
+    """The RMS of a curve's means."""
+    return float(np.sqrt(np.mean(curve.mean**2))) if len(curve.mean) else 0.0
 
 
 def _title(finding: Finding, joint: int, two: Sides, unit: str) -> str:
@@ -351,7 +364,8 @@ def unclaimed_chart(d: Diagnosis, joint: int) -> Chart | None:
 
 def _without_a_law(d: Diagnosis, joint: int, curve: Curve) -> Chart:
     panel = curve_panel(d, joint, curve, "before", "without a law")
-    word = torque_word(units_at(d, joint)["torque"])
+    unit = units_at(d, joint)["torque"]
+    word = torque_word(unit)
     return Chart(
         "law",
         "",
@@ -360,7 +374,8 @@ def _without_a_law(d: Diagnosis, joint: int, curve: Curve) -> Chart:
         title=f"Joint {joint}: {word} that the calibrated model lacks, over its {curve.axis}",
         size=(7.2, 3.2),
         joint=joint,
-        note="Bars are standard errors of the means.",
+        note="Bars are standard errors of the means."
+        + off_the_means(curve, _size(curve), panel.xlabel, unit),
     )
 
 
