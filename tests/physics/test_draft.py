@@ -37,18 +37,6 @@ def test_numbers_come_from_the_recording() -> None:
     assert not any("N m" in question for question in draft.questions)
 
 
-def test_an_effort_that_is_always_zero_is_no_command_where_another_column_moves() -> None:
-    columns = recording()
-    bag = {
-        "t": columns["t"],
-        "joint_states.elbow.position": columns["q"],
-        "joint_states.elbow.effort": np.zeros(N),  # a robot without torque sensors
-        "effort_cmd.data": columns["tau"],
-    }
-    draft = draft_model(Table(bag, {}, {}, Path("bag")))
-    assert model_of(draft.text).columns["command"] == "effort_cmd.data"
-
-
 def test_the_draft_asks_what_the_recording_cannot_say() -> None:
     columns = recording()
     del columns["r"]
@@ -84,25 +72,6 @@ def test_questions_stay_open_until_their_lines_are_gone(
     answered = [line for line in draft.text.splitlines() if not line.startswith("# ?")]
     file.write_text("\n".join(answered))
     assert open_questions(file) == () and of_diagnosis(file)[1] == ()
-
-
-@pytest.mark.parametrize("beside", [True, False])
-def test_a_command_that_is_the_position_in_its_numbers_is_asked_about(beside: bool) -> None:
-    """As ``writetable`` has it: Command was the set value, and a spring of 0.16 N m/rad^3 with a
-    confidence of 96 % came of it.
-    """
-    columns = recording()
-    table = {"t": columns["t"], "Position": columns["q"], "Command": 1.07 * columns["r"]}
-    table |= {"Current": columns["tau"]} if beside else {}
-    draft = draft_model(Table(table, {}, {}, Path("run.csv")))
-    asked = "\n".join(draft.questions)
-    assert "Command is all but equal to Position" in asked
-    model = model_of(draft.text).columns
-    assert model["command"] == ("Current" if beside else "Command"), asked
-    assert model.get("reference") == ("Command" if beside else None)
-    torque = draft_model(Table({**columns, "i": columns["tau"]}, {}, {}, Path("run.csv")))
-    assert model_of(torque.text).columns["command"] == "tau"
-    assert "all but equal" not in torque.text
 
 
 def test_time_in_days_is_asked_about_and_read_once_its_unit_is_written() -> None:

@@ -29,12 +29,18 @@ EXPLAINS = 0.3  # share of the command's variance: below that no first idea is g
 MATTERS = 0.02  # share that gravity must add
 WHOLE = 0.02  # of a count: so near to a whole number of counts a turn is one
 FINE = 0.1  # of a count: where the count is known no better, any number would be whole
-ALIKE = 0.05  # two speeds that differ by less are the same in two units
+ALIKE = 0.05  # two speeds, or a command and its measurement, that differ by less are the same
 # words of a position behind a spring, and how German words of one begin or end
 LOAD = ("load", "link", "output", "arm", "scale", "abtrieb")
 LOAD_PARTS = re.compile(r"ma(?:ß|ss)stab$|^(?:last|abtriebs?|schlitten)(?:position|lage|winkel)")
 # of several columns that could be the command
 PREFERRED = ("tau", "torque", "effort", "force", "u")
+ASKED = {"cmd", "command", "commanded", "total"}
+# of a torque that is only a part of the command
+PARTS = {
+    "computed", "calc", "model", "ff", "feedforward", "fb", "feedback", "fric", "friction", "comp",
+    "compensation", "dyn", "dynamics", "grav", "gravity",
+}
 
 
 @dataclass(frozen=True)
@@ -122,11 +128,13 @@ def best_group(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> 
         )
     rank = {word: k for k, word in enumerate(PREFERRED)}
 
-    def unlikely(group: Group) -> tuple[bool, bool, int]:
+    def unlikely(group: Group) -> tuple[bool, bool, bool, bool, int]:
         words = re.findall(r"[a-z]+", group.names[0].lower())
         return (
             not np.nanstd(group.values, axis=0).any(),  # as the effort of a JointState without one
+            not PARTS.isdisjoint(words),
             not group.is_torque,
+            ASKED.isdisjoint(words),
             min((rank.get(w, 9) for w in words), default=9),
         )
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 
 from zendsp.physics.files.draft_data import (
+    ALIKE,
     PREFERRED,
     WHOLE,
     Group,
@@ -26,6 +28,7 @@ from zendsp_protocol.texts import shown
 
 TURN = 2.0 * np.pi  # rad
 COUNTS_A_TURN = 4096  # of an encoder of which nothing is known
+SAME = 1e-3  # two columns whose RMS difference is a smaller part of them hold the same
 SATURATED = 20  # samples at the largest command: it was cut off there
 
 
@@ -236,10 +239,14 @@ def put_columns(
     if behind:
         chosen["position_load"] = in_order(behind[0], position)
     used = {name for group in chosen.values() for name in group.names}
-    if ask := _more_joints(groups, position, command, used):
-        page.line(ask=ask)
+    doubt = ""
+    if more := _more_joints(groups, position, command, used):
+        page.line(ask=more)
+    elif command is not None:
+        measured = chosen.get(Role.TORQUE_MEASURED.value)
+        doubt = _which_command(command, groups.get(Role.COMMAND, []), measured)
     for key, group in chosen.items():
-        page.line(f"{key} = {group.spec}", group.unit)
+        page.line(f"{key} = {group.spec}", group.unit, doubt * (group is command))
     if command is None:
         page.choice('command = "…"')
     page.unused = tuple(name for name in table.columns if name not in used)
@@ -271,6 +278,36 @@ def _more_joints(
         f"are there more joints? Then write position = {names[0]} and command = {names[1]}, and"
         " above a number for each joint, in the same order"
     )
+
+
+def _which_command(command: Group, rivals: Sequence[Group], measured: Group | None) -> str:
+    """The question of which column is the command: others could be it, or it is not what was
+    measured. Empty where nothing speaks for another.
+    """
+    others = [g for g in rivals if g is not command and _apart(g, command) > SAME]
+    taken = " and ".join(command.names)
+    asked = f"is {taken} all that the drive was told, every compensation included?"
+    if others:
+        names = " or ".join(
+            f"{' and '.join(g.names)} ({_apart(g, command):.0%} apart)" for g in others
+        )
+        return f"{asked} Or else {names}: then write that one here"
+    if measured is not None and (apart := _apart(measured, command)) > ALIKE:
+        return (
+            f"{asked} {' and '.join(measured.names)} is {apart:.0%} apart from it. Where something"
+            " was added to it later, write the sum here, or the measured one"
+        )
+    return ""
+
+
+def _apart(group: Group, command: Group) -> float:
+    """The RMS difference of two groups of the same unit, as a part of the command's; 0 where they
+    cannot be compared, or one is constant.
+    """
+    a, b = group.values, command.values
+    if a.shape != b.shape or group.unit != command.unit or not np.nanstd(a, axis=0).any():
+        return 0.0
+    return float(np.sqrt(np.nanmean((a - b) ** 2) / max(np.nanmean(b**2), 1e-300)))
 
 
 def listed(values: list[float]) -> str:
