@@ -21,11 +21,14 @@ from zendsp.diagnosis.decide.contract import (
 )
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.headline import percent, verdict_sentence, word_of
+from zendsp.diagnosis.decide.naming import lifted
 from zendsp.diagnosis.decide.result import Detectable, Workings
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.report import figures, files, html
 from zendsp.diagnosis.report.summary import _sized, summary, unnamed
+from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.model import Quantity, Term
 
 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
@@ -251,3 +254,18 @@ def test_what_depends_on_the_state_is_no_larger_than_what_is_missing() -> None:
     )
     given: Any = SimpleNamespace(torque_unit=lambda _: "N m")
     assert notes._of_state(left, given).startswith("a torque of 0.079 N m RMS (72 % of the torque)")
+
+
+@pytest.mark.parametrize(("kind", "said"), [
+    ("linear", " Where the joint slides up and down, 1.5000 ± 0.0030 kg more to lift than the model"
+               " says, or less, is the same force."),
+    ("rotary", ""),
+])  # fmt: skip
+def test_a_constant_force_may_be_the_weight_of_what_a_sliding_joint_lifts(
+    kind: str, said: str
+) -> None:
+    """A load of 1.5 kg on the quill of a SCARA was a constant force of its drive and no more."""
+    mass = {"mass" if kind == "linear" else "inertia": 1.0}
+    given = parse_model({"name": "z", "mechanism": {"kind": kind, "parameters": mass}}, "z.toml")
+    term = Term("torque_offset", 1, {"level": Quantity(14.715)})
+    assert lifted(given, term, {"level": Estimate(14.715, 0.029, "N")}) == said

@@ -25,6 +25,7 @@ from zendsp.diagnosis.decide.findings import (
     sentence,
     waves,
 )
+from zendsp.diagnosis.decide.moved import G
 from zendsp.diagnosis.decide.patchwork import draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.stated_numbers import agreed_on, is_no_law, numbers_of
@@ -181,6 +182,7 @@ def _finding(
     text = _held_otherwise(given, term, values) or sentence(term, values)
     text += _falls_to(whole.agreed[joint].model, term, given.torque_unit(joint))
     text += _turned(whole.agreed[joint].model, term, values)
+    text += lifted(given, term, values)
     numbers = cast(Further, chosen(term))  # as its effect's file names them
     if term.effect == "inertia":
         weight = [
@@ -240,6 +242,20 @@ def _falls_to(model: Model, term: Term, torque_unit: str) -> str:
         f" It falls to {t.value(get_effect(t.effect).linear[0]):.3g} {torque_unit} ({t.effect})."
         for t in model.at(term.joint)
         if t.effect in below
+    )
+
+
+def lifted(given: Model, term: Term, values: Mapping[str, Estimate]) -> str:
+    """The sentence on a constant force that may be the weight of what a sliding joint lifts; else
+    empty.
+    """
+    if term.effect != "torque_offset" or given.joint_kind(term.joint) != "linear":
+        return ""
+    level = values["level"]
+    mass = number(Estimate(abs(level.value) / G, level.std / G, "kg"))
+    return (
+        f" Where the joint slides up and down, {mass} more to lift than the model says, or less,"
+        " is the same force."
     )
 
 
