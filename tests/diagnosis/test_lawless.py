@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.report.figures import charts
+from zendsp.diagnosis.report.files import no_reference
 from zendsp.diagnosis.report.laws import unknown_chart
 from zendsp.physics.model import Model
 
@@ -120,11 +121,11 @@ def test_a_joint_that_nothing_drives_is_not_told_to_follow_a_reference() -> None
     free: Any = SimpleNamespace(records=[[replace(fit.records[0][0], command=0.0 * columns["u"])]])
     assert "[actuator] hold" in notes._held(_lacks(0.01, model), fit, model)
     assert notes._held(_lacks(0.01, model), free, model) == ""
-    signals: Any = SimpleNamespace(command=np.zeros((10, 1)))
+    signals: Any = SimpleNamespace()
     search: Any = SimpleNamespace(final=SimpleNamespace(data=fit))
     found: Any = [SimpleNamespace(effect="unknown", joint=1, mechanism="dry_friction")]
     given: Any = SimpleNamespace(limits={}, joints=1, joint_kind=lambda _: "rotary")
-    said = proposal._without_rival([signals], given, [search], found, [], 0)
+    said = proposal._without_rival([signals], given, [search], found, [], 0, (1,))
     assert said is not None and said.reference is None
     assert said.sentence.startswith("Nothing drives joint 1: record it again from other")
 
@@ -135,19 +136,21 @@ def test_a_joint_that_nothing_drives_is_not_told_to_follow_a_reference() -> None
 ])  # fmt: skip
 def test_the_pole_of_a_cart_is_not_told_to_follow_a_reference(effect: str, says: str) -> None:
     """The cart is driven, so a multisine of the pole was proposed, and its file written."""
-    command = np.ones((10, 2))
-    command[:, 1] = 0.0
-    signals: Any = SimpleNamespace(command=command)
+    signals: Any = SimpleNamespace()
     found: Any = [SimpleNamespace(effect=effect, joint=2, mechanism="dry_friction", confidence=0.4)]
     given: Any = SimpleNamespace(limits={}, joints=2)
-    said = proposal._without_rival([signals], given, [], found, [], 0)
+    said = proposal._without_rival([signals], given, [], found, [], 0, (2,))
     assert said is not None and said.reference is None and said.sentence.startswith(says)
+    asked: Any = SimpleNamespace(
+        next_recording=said, given=given, undriven=(2,), stopped=False, doubted=()
+    )
+    assert no_reference(asked).startswith("joint 2 follows no reference, since nothing drives it:")
     found[0].indistinguishable = ("viscous",)
     search: Any = SimpleNamespace(steps=[])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(proposal, "_separable", lambda finding, _: finding)
         decisions: Any = [SimpleNamespace(joint=2, final=SimpleNamespace(model=given))]
-        told = proposal.propose([signals], given, [search, search], found, decisions, 0)
+        told = proposal.propose([signals], given, [search, search], found, decisions, 0, (2,))
     assert told is not None and told.reference is None
     assert f"To tell {effect} from viscous at joint 2, which nothing drives, rec" in told.sentence
 

@@ -268,7 +268,7 @@ def _with_zeros_given(
         stopped=bool(stopped),
         doubted=doubted(findings, decisions),
         loads=of_other_loads(decisions),
-        undriven=tuple(j for j in joints if not parts.drives(j)),
+        undriven=parts.undriven,
     )
 
 
@@ -349,7 +349,8 @@ def _look_on(
     tell(Step.LOOKING_ON.says("proposing the next recording"))
     if given.called is not None:
         return _Looked(decisions, seen, experiment_of(findings))
-    proposal = propose(fit, given, found.searches, findings, decisions, seed)
+    free = found.parts.undriven
+    proposal = propose(fit, given, found.searches, findings, decisions, seed, free)
     return _Looked(decisions, (*seen, *bodies), proposal)
 
 

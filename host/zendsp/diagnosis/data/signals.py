@@ -85,9 +85,11 @@ class Parts:
             return self.test
         return replace(self.test, records=(*self.choose.records, *self.test.records))
 
-    def drives(self, joint: int) -> bool:
-        """Whether anything drives a joint: its command is not zero throughout."""
-        return any(np.any(rec[joint - 1].command) for rec in self.all.records)
+    @property
+    def undriven(self) -> tuple[int, ...]:
+        """The joints, from 1, that nothing drives: their command is zero throughout."""
+        joints = enumerate(zip(*self.all.records, strict=True), 1)
+        return tuple(j for j, own in joints if not any(np.any(r.command) for r in own))
 
 
 def with_same_columns(

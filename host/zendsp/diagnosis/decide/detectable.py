@@ -130,7 +130,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
     implant = Implant(parts, given, decision, jobs)
     after = max(decision.after.value, decision.after.often)
     # a joint that nothing drives has no actuator, and no transmission between a motor and itself
-    never = () if parts.drives(joint) else ("actuator", "transmission")
+    never = ("actuator", "transmission") if joint in parts.undriven else ()
     sized = [e for e in library().values() if e.sized and mechanism_of(e.name) not in never]
     other = {names: implant.other(names) for names in {effect.aliases for effect in sized}}
     traces = {n: _Traces(sought, found, screen, result, terms) for n, terms in other.items()}

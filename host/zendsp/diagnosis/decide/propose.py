@@ -7,7 +7,7 @@ error is proposed (T-optimality: Hunter and Reiner 1965; Atkinson and Fedorov 19
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -111,6 +111,7 @@ def propose(
     findings: Sequence[Finding],
     decisions: Sequence[Decision],
     seed: int,
+    undriven: Collection[int] = (),
 ) -> Next | None:
     """The next recording, where something is still open; None otherwise.
 
@@ -118,12 +119,14 @@ def propose(
     ----------
     seed : int
         Seed of the random phases.
+    undriven : collection of int
+        Joints that nothing drives: they follow no reference.
     """
     finals = {d.joint: d.final.model for d in decisions}
     findings = [_separable(f, finals[f.joint]) for f in findings]
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:
-        other = _without_rival(train, given, searches, findings, decisions, seed)
+        other = _without_rival(train, given, searches, findings, decisions, seed, undriven)
         return other or _one_torque(findings, finals)
     finding = open_ones[0]
     search = searches[finding.joint - 1]
@@ -132,10 +135,11 @@ def propose(
     if finding.effect not in ("disturbance", "unknown"):
         experiment = get_effect(finding.effect).experiment
     names = ", ".join(finding.indistinguishable)
-    if finding.effect != "disturbance" and not _driven(train, finding.joint):
+    if finding.effect != "disturbance" and finding.joint in undriven:
         return Next(
             f"To tell {finding.effect} from {names} at joint {finding.joint}, which nothing drives,"
-            f" {_again(train)}.",
+            f" {_again(given, undriven)}.",
+            free=finding.joint,
         )
     if rival is None:
         return Next(
@@ -193,14 +197,9 @@ def _played(signals: Signals, given: Model, motions: Mapping[int, Array], text: 
     return Next(text.format(span), reference)
 
 
-def _driven(train: Sequence[Signals], joint: int) -> bool:
-    """Whether a joint (from 1) has a command that is not zero throughout."""
-    return any(np.any(s.command[:, joint - 1]) for s in train)
-
-
-def _again(train: Sequence[Signals]) -> str:
+def _again(given: Model, undriven: Collection[int]) -> str:
     """What to do with a joint that nothing drives."""
-    beside = any(np.any(s.command) for s in train)
+    beside = len(undriven) < given.joints
     others = ", and with other motions of what is driven beside it" if beside else ""
     return f"record it again from other first positions and speeds{others}"
 
@@ -212,6 +211,7 @@ def _without_rival(
     findings: Sequence[Finding],
     decisions: Sequence[Decision],
     seed: int,
+    undriven: Collection[int] = (),
 ) -> Next | None:
     strap = next((d.strap for d in decisions if d.strap), ())
     if strap:
@@ -225,11 +225,12 @@ def _without_rival(
     )
     lawless = [f for f in findings if f.effect == "unknown"]
     joints = [f.joint for f in lawless] if findings else [*again, *unseen]
-    driven = [j for j in joints if _driven(train, j)]
+    driven = [j for j in joints if j not in undriven]
     if joints and not driven:
         return Next(
-            f"Nothing drives {listed(joints[:1])}: {_again(train)}. What repeats"
-            " with the state is physics."
+            f"Nothing drives {listed(joints[:1])}: {_again(given, undriven)}. What repeats"
+            " with the state is physics.",
+            free=joints[0],
         )
     if joints := driven:
         # what pulls at several joints may depend on where each of them is
@@ -257,10 +258,11 @@ def _without_rival(
     weak = [
         f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
     ]
-    if weak and not _driven(train, weak[0].joint):
+    if weak and weak[0].joint in undriven:
         return Next(
             f"To confirm {weak[0].effect} at joint {weak[0].joint}, which nothing drives,"
-            f" {_again(train)}."
+            f" {_again(given, undriven)}.",
+            free=weak[0].joint,
         )
     if weak:
         return Next(

@@ -96,6 +96,7 @@ class Next:
     sentence: str
     reference: tuple[Array, float] | None = None  # positions (n, joints), sample time in s
     tells: bool = True  # False: the sentence says why no recording would tell them apart
+    free: int = 0  # the joint that it is of, where nothing drives that
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,16 @@ def no_reference(d: Diagnosis) -> str:
         return "no motion can be proposed for what is open"
     if not d.next_recording.tells:
         return "no motion tells apart what is left open"
+    if d.next_recording.free:
+        beside = (
+            " To move what is driven beside it, 'zendsp reference' plans motions."
+            if len(d.undriven) < d.given.joints
+            else ""
+        )
+        return (
+            f"joint {d.next_recording.free} follows no reference, since nothing drives it: let it"
+            f" go by hand, or push it, and record.{beside}"
+        )
     by_hand = (
         "where an experiment is named, it is set up by hand; where that is a motion,"
         " 'zendsp reference' plans one"

@@ -43,7 +43,7 @@ def detectable_transmissions(
     """
     out: list[Detectable] = []
     for decision in decisions if parts.test.joints == 1 and given.called is None else ():
-        if not parts.drives(decision.joint):
+        if decision.joint in parts.undriven:
             continue
         if any(get_effect(t.effect).sole for t in decision.final.model.at(decision.joint)):
             continue

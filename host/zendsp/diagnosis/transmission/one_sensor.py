@@ -105,7 +105,7 @@ def unseen(
     """
     sprung = any(c.is_transmission for d in decisions for c in d.claims)
     found = () if sprung else by_one_sensor(parts, model, decisions)
-    return tuple(d for d in found if parts.drives(d.joint))
+    return tuple(d for d in found if d.joint not in parts.undriven)
 
 
 def said(unshown: Sequence[Detectable]) -> list[str]:
