@@ -261,3 +261,18 @@ def test_a_urdf_that_is_no_tree_of_the_joints_tells_its_limits_alone(tmp_path: P
     file.write_text(turns.replace("</joint></robot>", follows))
     machine = machine_for(str(file), "", None)
     assert machine is not None and not machine.modelled
+
+
+def test_a_reference_of_no_named_machine_is_shown_without_limits(tmp_path: Path) -> None:
+    """The next_reference.mat of a diagnosis was refused: it names no machine."""
+    path = save_reference(Reference(np.linspace(0.0, 0.5, 100), 0.01), tmp_path / "next.mat")
+    shown = CliRunner().invoke(command, ["show", str(path)])
+    assert shown.exit_code == 0, shown.output
+    assert "checked against no limits: --machine or --target says whose" in shown.output
+    assert "only the limits are known" not in shown.output
+    assert "0.5000" in shown.output
+    checked = CliRunner().invoke(command, ["show", str(path), "--machine", "pendulum"])
+    assert checked.exit_code == 0 and "within 100 % of the limits" in checked.output
+    drawn = CliRunner().invoke(command, ["show", str(path), "--plot", str(tmp_path / "x.png")])
+    assert isinstance(drawn.exception, ReferenceError_)
+    assert "whose limits to draw" in str(drawn.exception)

@@ -47,11 +47,14 @@ def _print_table(summary: dict[str, Any]) -> None:
     from zendsp.reference import JUMPS, UNPREDICTED
 
     share = 100 * summary["parameters"].get("headroom", 1.0)
+    of = "the limits of position" if summary["jumps"] else f"{share:g} % of the limits"
+    within = f"within {of}"
+    if not summary["limits"]:
+        within = "checked against no limits: --machine or --target says whose"
     click.echo(
         f"{summary['kind']} on {summary['machine'] or 'no machine'}: {summary['duration']:g} s,"
         f" {summary['samples']} samples, mode"
-        f" {summary['mode']}{', cyclic' if summary['cyclic'] else ''}, within"
-        f" {'the limits of position' if summary['jumps'] else f'{share:g} % of the limits'}"
+        f" {summary['mode']}{', cyclic' if summary['cyclic'] else ''}, {within}"
     )
     u = summary["unit"]
     force = {"rad": "N m", "m": "N"}
@@ -71,7 +74,7 @@ def _print_table(summary: dict[str, Any]) -> None:
         _print_row(str(j + 1), (*row, None if torque is None else torque[j]))
         if limits:  # of the machine itself, without the headroom
             _print_row("limit", limits[j])
-    if torque is None:
+    if torque is None and (limits or summary["jumps"]):
         click.echo(JUMPS if summary["jumps"] else UNPREDICTED)
 
 
@@ -91,7 +94,8 @@ def _finish(
     from zendsp.cli.progress import stages
 
     with stages(quiet=as_json) as tell:
-        tell(f"planning within the limits of {machine.name}{takes and f' ({takes})'}")
+        if machine is not None:
+            tell(f"planning within the limits of {machine.name}{takes and f' ({takes})'}")
         summary = _made(make(), machine, out, plot, check, tell)
     if as_json:
         click.echo(json.dumps(summary))
@@ -108,10 +112,10 @@ def _made(
 ) -> dict[str, Any]:
     from zendsp.reference import save_reference
 
-    if check:
+    if machine is not None and check:
         machine.check(reference)
-    summary = _summary(reference, machine.torque(reference))
-    summary["limits"] = {
+    summary = _summary(reference, None if machine is None else machine.torque(reference))
+    summary["limits"] = {} if machine is None else {
         key: [float(x) if math.isfinite(x) else None for x in getattr(machine.limits, key)]
         for key in ("position_min", "position_max", "speed", "acceleration", "torque")
     }
@@ -294,7 +298,8 @@ def show(
     plot: str | None,
     as_json: bool,
 ) -> None:
-    """Read a reference file, check it against the limits, print its extremes.
+    """Read a reference file, check it against the limits, print its extremes. Of one that names no
+    machine, as a diagnosis writes it, the extremes alone where no machine is named either.
 
     Example:  zendsp reference show circle.mat
     """
@@ -303,7 +308,10 @@ def show(
 
     reference = load_reference(file)
     machine = machine_for(machine_name, target, connect)
-    if machine is None and not reference.machine:
-        raise ReferenceError_(f"{file} names no machine: say which with --machine or --target")
-    machine = machine or load_machine(reference.machine)
+    if machine is None and not reference.machine and plot is not None:
+        raise ReferenceError_(
+            f"{file} names no machine: say with --machine or --target whose limits to draw"
+        )
+    if machine is None and reference.machine:
+        machine = load_machine(reference.machine)
     _finish(lambda: reference, machine, None, plot, as_json, check=True)
