@@ -145,3 +145,41 @@ def test_friction_that_a_urdf_states_is_stated_in_the_draft(robot: Path) -> None
         {"kind": "coulomb", "joint": 3, "level": {"value": 0.2}},
     ]
     assert "# damping of elbow in arm.urdf" in drawn.text
+
+
+URDF = (
+    '<robot name="cart"><link name="rail"/><link name="cart"/><link name="pole"/>'
+    '<joint name="slide" type="prismatic"><parent link="rail"/><child link="cart"/>'
+    '<axis xyz="1 0 0"/><limit lower="-2" upper="2" effort="20" velocity="5"/></joint>'
+    '<joint name="hinge" type="continuous"><parent link="cart"/><child link="pole"/>'
+    '<axis xyz="0 1 0"/></joint></robot>'
+)
+MJCF = (
+    '<mujoco><worldbody><body><joint name="slide" type="slide"/><geom size="0.1"/><body>'
+    '<joint name="hinge"/><geom size="0.1"/></body></body></worldbody><actuator><motor'
+    ' joint="slide"/></actuator></mujoco>'
+)
+
+
+@pytest.mark.parametrize(("name", "text", "unit"), [
+    ("cart.urdf", URDF, "N"), ("cart.xml", MJCF, "N"), ("cart.xml", MJCF, "V"),
+])  # fmt: skip
+def test_the_joints_of_a_robot_that_nothing_drives_are_drafted_too(
+    tmp_path: Path, name: str, text: str, unit: str
+) -> None:
+    """Of a cart and its pole the cart alone was drafted, and the angle of the pole "not used"."""
+    if name.endswith(".xml"):
+        pytest.importorskip("mujoco")
+    (tmp_path / name).write_text(text)
+    columns = {"t": T, "phi": np.sin(T), "x": np.cos(T), "u": np.sin(2.0 * T)}
+    run = Table(columns, {"t": "s", "phi": "rad", "x": "m", "u": unit}, {}, Path("run.csv"))
+    draft = draft_model(run, robot=tmp_path / name, folder=tmp_path)
+    written = tomllib.loads(draft.text)
+    assert written["mechanism"]["joints"] == ["slide", "hinge"]
+    assert written["columns"]["position"] == ["x", "phi"]
+    assert written["columns"]["command"] == ["u", ""]
+    assert draft.joints == 2 and draft.unused == ()
+    assert "does nothing drive the joint with the empty name?" in draft.questions
+    assert "do x, phi stand in this order? Drivers often list joints by the alphabet" in (
+        draft.questions
+    )

@@ -23,7 +23,14 @@ from zendsp.physics.files.draft_data import (
     unbroken,
     why_degrees,
 )
-from zendsp.physics.files.draft_robot import by_joints, joints_in, of_arm, put_robot
+from zendsp.physics.files.draft_robot import (
+    all_commands,
+    all_positions,
+    by_joints,
+    joints_in,
+    of_arm,
+    put_robot,
+)
 from zendsp.physics.files.draft_tables import (
     COUNTS_A_TURN,
     TURN,
@@ -94,6 +101,8 @@ def draft_model(
     if robot is not None:
         groups = of_arm(groups, robot)
     position = best_group(groups, Role.POSITION)
+    if robot is not None:
+        position = all_positions(groups, robot) or position
     bare = [name for name, values in table.columns.items() if not np.isfinite(values).any()]
     nothing = f"{', '.join(bare)} hold{'s' if len(bare) == 1 else ''} no finite number"
     if position is None:
@@ -112,6 +121,8 @@ def draft_model(
         groups = sliding(groups, known.slides)
         position = best_group(groups, Role.POSITION) or position
     groups, command, asked = driven_by(groups, position)
+    if robot is not None and command is None:
+        command = all_commands(groups, robot)
     command = command and in_order(command, position)
     if robot is not None:
         joints_there = joints_in(robot)
@@ -135,6 +146,7 @@ def draft_model(
     degrees = why_degrees(position, best_group(groups, Role.VELOCITY, joints), clock)
     unit = _unit_asked(position, degrees, table.path.suffix.lower() == ".mat")
     if robot is not None:
+        unit *= not {*position.unit.split(", ")} <= {"rad", "m"}  # its file says which joint slides
         put_robot(page, robot, folder, position, unit)
     elif known is not None and known.model:
         _mujoco(page, known)

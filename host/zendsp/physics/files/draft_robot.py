@@ -7,15 +7,18 @@ from __future__ import annotations
 import json
 import os
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from zendsp.errors import ModelError
-from zendsp.physics.files.draft_data import Group, one_or_each
+from zendsp.physics.files.draft_data import Group, best_group, is_behind, one_or_each
 from zendsp.physics.files.draft_tables import Page, put_effects
 from zendsp.physics.robots.urdf import urdf_coupled, urdf_friction, urdf_joints
 from zendsp.recording.roles import Role
-from zendsp_protocol.texts import counted
+from zendsp_protocol.texts import counted, units_of
 
 KINDS = {".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}
 
@@ -40,6 +43,68 @@ def joints_in(robot: Path) -> list[str]:
     single = (int(joint.mjJNT_HINGE), int(joint.mjJNT_SLIDE))
     every = (model.joint(k) for k in range(model.njnt) if int(model.jnt_type[k]) in single)
     return [str(one.name) for one in every]
+
+
+def _motors(robot: Path) -> tuple[list[bool], list[bool]]:
+    """Of each joint of a robot, whether it slides, and whether it has an actuator of its own; no
+    URDF says the latter of any.
+    """
+    joints = joints_in(robot)
+    if KINDS[robot.suffix.lower()] == "urdf":
+        kinds = {j.get("name"): j.get("type") for j in ET.parse(robot).getroot().iter("joint")}
+        return [kinds[joint] == "prismatic" for joint in joints], [False] * len(joints)
+    from zendsp.physics.robots.mjcf import actuators_of, compiled, library
+
+    model, slide = compiled(str(robot)), int(library().mjtJoint.mjJNT_SLIDE)
+    at = [int(model.joint(joint).id) for joint in joints]
+    return [int(model.jnt_type[k]) == slide for k in at], [bool(actuators_of(model, k)) for k in at]
+
+
+def all_positions(groups: dict[Role, list[Group]], robot: Path) -> Group | None:
+    """The positions of all joints of a robot in its order, where their columns have nothing in
+    common, as ``x`` and ``phi`` of a cart and its pole; None where there are not as many.
+    """
+    joints, (slides, _) = joints_in(robot), _motors(robot)
+    some = [g for g in groups.get(Role.POSITION, []) if not is_behind(g)]
+    columns = [(name, g.values[:, k], units_of(g.unit, len(g.names))[k])
+               for g in some if len(g.names) == g.values.shape[1]
+               for k, name in enumerate(g.names)]  # fmt: skip
+    if len(some) < 2 or len(columns) != len(joints):
+        return None
+    left, ordered = list(columns), []
+    for wanted in ("m" if one else "rad" for one in slides):
+        ordered += [next((c for c in left if c[2] in (wanted, "")), left[0])]
+        left = [c for c in left if c is not ordered[-1]]
+    names, values, units = zip(*ordered, strict=True)
+    return Group(names, np.column_stack(values), one_or_each(units))
+
+
+def all_commands(groups: dict[Role, list[Group]], robot: Path) -> Group | None:
+    """The commands of a robot that has joints without any, which have an empty name and zeros; None
+    where nothing tells which joints the columns drive.
+    """
+    joints, (slides, motors) = joints_in(robot), _motors(robot)
+    group = best_group(groups, Role.COMMAND) or best_group(groups, Role.CURRENT)
+    if group is None or not len(group.names) == group.values.shape[1] < len(joints):
+        return None
+    group, named = by_joints(group, joints)
+    force = [slide == (group.unit == "N") for slide in slides if group.is_torque]
+    for driven in ([j in named for j in joints], motors, force):
+        if sum(driven) == len(group.names):
+            break
+    else:
+        return None
+    names, units, rows = [], [], np.zeros((len(group.values), len(joints)))
+    columns = iter(enumerate(group.names))
+    own = units_of(group.unit, len(group.names))
+    for j, drives in enumerate(driven):
+        if drives:
+            k, name = next(columns)
+            rows[:, j] = group.values[:, k]
+        names.append(name if drives else "")
+        free = ("N" if slides[j] else "N m") if group.is_torque else own[0]
+        units.append(own[k] if drives else free)
+    return Group(tuple(names), rows, one_or_each(units))
 
 
 def of_arm(groups: dict[Role, list[Group]], robot: Path) -> dict[Role, list[Group]]:

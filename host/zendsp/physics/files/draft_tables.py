@@ -93,7 +93,7 @@ def put_actuator(
             ask="no column looks like the command: which one is it? (see [columns])",
         )
         return
-    names = ", ".join(command.names)
+    names = ", ".join(name for name in command.names if name)  # empty: nothing drives it
     each = " One for each joint: value = [2.0, 1.5]" if command.values.shape[1] > 1 else ""
     mixed = command.is_torque and ", " in command.unit  # joints that slide and joints that turn
     if lever:
@@ -244,7 +244,8 @@ def put_columns(
         page.line(ask=more)
     elif command is not None:
         measured = chosen.get(Role.TORQUE_MEASURED.value)
-        doubt = _which_command(command, groups.get(Role.COMMAND, []), measured)
+        doubt = "does nothing drive the joint with the empty name?" if "" in command.names else ""
+        doubt = doubt or _which_command(command, groups.get(Role.COMMAND, []), measured)
     for key, group in chosen.items():
         page.line(f"{key} = {group.spec}", group.unit, doubt * (group is command))
     if command is None:
@@ -307,7 +308,7 @@ def _apart(group: Group, command: Group) -> float:
     a, b = group.values, command.values
     if a.shape != b.shape or group.unit != command.unit or not np.nanstd(a, axis=0).any():
         return 0.0
-    return float(np.sqrt(np.nanmean((a - b) ** 2) / max(np.nanmean(b**2), 1e-300)))
+    return float(np.sqrt(np.nanmean((a - b) ** 2) / max(float(np.nanmean(b**2)), 1e-300)))
 
 
 def listed(values: list[float]) -> str:
