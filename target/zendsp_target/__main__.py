@@ -317,7 +317,8 @@ if __name__ == "__main__":
         status = main()
     except SystemExit as end:  # argparse
         status = end.code if isinstance(end.code, int) else 2
-    except KeyboardInterrupt:  # before it was ready
+    except KeyboardInterrupt:
+        print("zendsp target: interrupted before it was ready", file=sys.stderr)
         status = 130
     except Exception:
         traceback.print_exc()

@@ -52,6 +52,20 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     assert target.status().state == "running"
 
 
+def test_a_command_whose_output_nobody_reads_on_ends_as_others_do(target: Target) -> None:
+    """`zendsp watch q | head` ended with 1, as if the answer were no."""
+    target.download("pd.c")
+    target.start()
+    command = [sys.executable, "-m", "zendsp", "watch", "q", "--interval", "0.05"]
+    watch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert watch.stdout is not None and watch.stderr is not None
+    watch.stdout.readline()
+    watch.stdout.close()
+    assert watch.wait(PATIENCE_S) == 128 + signal.SIGPIPE and watch.stderr.read() == ""
+    watch.stderr.close()
+    assert target.status().state == "running"
+
+
 def test_watch_ends_with_an_error_when_its_target_is_killed(target: Target) -> None:
     target.download("pd.c")
     target.start()

@@ -96,6 +96,19 @@ def test_a_target_that_is_ended_while_it_begins_leaves_no_socket(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_target_that_is_ended_before_it_is_ready_says_so_in_a_line() -> None:
+    def held() -> None:  # until it can be ended by it, as `zendsp target` begins it
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+
+    command = [sys.executable, "-m", "zendsp_target", "--machine", "imi_planar"]
+    process = subprocess.Popen(command, stdout=-1, stderr=-1, text=True, preexec_fn=held)
+    process.send_signal(signal.SIGINT)
+    out, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130 and out == ""
+    assert said == "zendsp target: interrupted before it was ready\n"
+
+
 def test_a_program_that_is_replaced_lets_go_of_its_files_at_once(
     make_runtime: Make, load: Callable[[Runtime, str], None], wait_for: Callable[..., None]
 ) -> None:

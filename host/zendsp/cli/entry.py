@@ -15,6 +15,7 @@ from zendsp.cli.lines import write_anywhere
 from zendsp.errors import ZendspError
 from zendsp.here.ending import interruption
 
+UNREAD = 128 + 13  # the status of a command that SIGPIPE ends, as `head` ends what it reads
 LEAST_MEMORY = 512 << 20  # bytes of addresses
 
 
@@ -32,7 +33,7 @@ class _NoNumPy:
 
 def main() -> None:
     """Run a command. Expected errors end with one sentence and exit status 2, Ctrl-C with 130,
-    SIGTERM with 143.
+    SIGTERM with 143, output that nobody reads on with 141.
     """
     write_anywhere(sys.stdout)
     warnings.formatwarning = lambda message, *_, **__: f"zendsp: {message}\n"
@@ -44,6 +45,10 @@ def main() -> None:
         sys.exit(status if isinstance(status, int) else 0)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
+    except SystemExit as stop:
+        # click leaves this in place of an output that nobody reads on, and ends with 1
+        unread = isinstance(sys.stdout, click.utils.PacifyFlushWrapper)
+        sys.exit(UNREAD if unread else stop.code)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(2)
