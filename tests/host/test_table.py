@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +100,21 @@ def test_lines_above_the_names_of_the_columns_are_to_be_deleted(tmp_path: Path) 
     file = write(tmp_path / "run.csv", "Messung;3\nMaschine;Pendel\nt;q\n0;1\n0,1;2\n")
     with pytest.raises(RecordingError, match=r"delete the lines above the names of the columns"):
         read_table(file)
+
+
+@pytest.mark.parametrize("units", ["", "s,rad,N m\n"])
+def test_the_command_that_deletes_them_is_named_and_does(tmp_path: Path, units: str) -> None:
+    rows = "".join(f"{0.1 * k:.1f},{k},{2 * k}\n" for k in range(20))
+    above = "channel,sensor,drive\nname,encoder,motor\n"
+    file = write(tmp_path / "run.csv", f"{above}t,q,u\n{units}{rows}")
+    with pytest.raises(RecordingError) as refused:
+        read_table(file)
+    said = str(refused.value)
+    assert "if these are line 3 ('t,q,u'), by 'tail -n +3 " in said
+    command = re.search(r"by '(tail .*)'$", said)
+    assert command is not None
+    subprocess.run(command[1], shell=True, cwd=tmp_path, check=True)
+    assert list(read_table(tmp_path / "named.csv").columns) == ["t", "q", "u"]
 
 
 def test_a_folder_of_one_recording_is_read_as_that(tmp_path: Path) -> None:

@@ -163,6 +163,22 @@ def test_bodies_that_overlap_at_the_start_are_named(tmp_path: Path) -> None:
         assert "begins" not in plant.ffi.string(plant.info.text).decode()
 
 
+@pytest.mark.parametrize(("angle", "said"), [
+    ("degree", ", bend may turn from -2 to 2 degrees)"), ("radian", "(simulated):"),
+])  # fmt: skip
+def test_a_range_that_looks_like_radians_in_a_file_of_degrees_is_told(
+    tmp_path: Path, angle: str, said: str
+) -> None:
+    """Its joint tripped at 0.035 rad, and nothing said why."""
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        f'<mujoco><compiler angle="{angle}"/><worldbody><body><joint name="bend" range="-2 2"/>'
+        '<geom size="0.1"/></body></worldbody><actuator><motor joint="bend"/></actuator></mujoco>'
+    )
+    with robot(file) as plant:
+        assert said in plant.ffi.string(plant.info.text).decode()
+
+
 def test_an_impossible_inertia_of_a_base_that_stands_plays_no_part(tmp_path: Path) -> None:
     """For example a base_link with 1e-6 in all six places, as many files have it."""
     dummy = """<link name="base"><inertial><mass value="1e-6"/><inertia ixx="1e-6" iyy="1e-6"

@@ -99,10 +99,26 @@ static void name_jam(robot *r, char *text, size_t size) {
                  name_of(m, m->name_bodyadr[m->geom_bodyid[deepest->geom[0]]], "a body"));
 }
 
+/* A hinge whose range looks like radians, in a file that has degrees. */
+static void name_narrow(const robot *r, char *text, size_t size) {
+    const mjModel *m = r->model;
+    const double degree = M_PI / 180.0, turn = 2.0 * M_PI;
+    for (int32_t j = r->plant.joints - 1; j >= 0; j--) {
+        const int joint = r->joint[j];
+        const double *range = range_of(m, joint);
+        if (range && m->jnt_type[joint] == mjJNT_HINGE &&
+            fmax(fabs(range[0]), fabs(range[1])) <= turn * degree)
+            snprintf(text, size, ", %.31s may turn from %.3g to %.3g degrees",
+                     name_of(m, m->name_jntadr[joint], "a joint"), range[0] / degree,
+                     range[1] / degree);
+    }
+}
+
 static int check_time(robot *r, const char *config, double period, char *error, size_t size,
                       const char *file) {
-    char clock[8] = "", text[320], jammed[128] = "";
-    name_jam(r, jammed, sizeof jammed);
+    char clock[8] = "", text[320], odd[128] = "";
+    name_narrow(r, odd, sizeof odd);
+    name_jam(r, odd, sizeof odd);
     double takes = time_sample(r, period);
     int drives = 0;
     for (int32_t j = 0; j < r->plant.joints; j++)
@@ -119,7 +135,7 @@ static int check_time(robot *r, const char *config, double period, char *error, 
              "%.3g us for a sample of %.4g us.",
              r->info.name, r->plant.joints, (int)r->model->njnt + r->held, drives,
              r->held ? ", the others stand at 0" : "",
-             r->shapeless ? ", without shapes: files of meshes are missing" : "", jammed,
+             r->shapeless ? ", without shapes: files of meshes are missing" : "", odd,
              1e6 * r->plant.substep, 1e6 * takes, 1e6 * period);
     if (strcmp(clock, "real") != 0 || takes < 0.9 * period)
         return 0;

@@ -19,6 +19,7 @@ import csv
 import gzip
 import io
 import re
+import shlex
 import zlib
 from dataclasses import replace
 from datetime import datetime
@@ -421,12 +422,7 @@ def _first_fault(
 ) -> RecordingError:
     """The error that names the line which the fast reader refused, and what is wrong with it."""
     for number, cells in enumerate(csv.reader(io.StringIO(rows), delimiter=delimiter), first_line):
-        above = ""
-        if number == first_line:
-            above = (
-                f"; if line {number - 1} is no header, delete the lines above the names of the"
-                " columns"
-            )
+        above = _where_named(path, rows, delimiter, decimal, number) * (number == first_line)
         if any("\n" in cell for cell in cells):
             return RecordingError(
                 f"{path}: line {number}: a quote (\") is opened and not closed: correct it, or"
@@ -448,6 +444,31 @@ def _first_fault(
                     f" number{others}: correct it, or leave it empty{above}"
                 )
     return RecordingError(f"{path}: cannot be read as a table of numbers ({error})")
+
+
+def _where_named(path: Path, rows: str, delimiter: str, decimal: str, first_line: int) -> str:
+    """What to do where the line before ``rows`` is no header: the names of the columns stand above
+    the first line of numbers, or above the units there.
+    """
+    lines = csv.reader(io.StringIO(rows), delimiter=delimiter)
+    words: list[list[str]] = []
+    for cells in lines:
+        plain = [_pointed(c.strip()) if decimal == "," else c.strip() for c in cells]
+        if plain and all(map(_is_number, plain)):
+            break
+        words.append(plain)
+    if words and all(map(to_si, words[-1])):
+        words.pop()
+    delete = (
+        f"; if line {first_line - 1} is no header, delete the lines above the names of the columns"
+    )
+    if not words or path.suffix == ".gz":
+        return delete
+    named = first_line - 1 + len(words)
+    return (
+        f"{delete}: if these are line {named} ({shorten(delimiter.join(words[-1]))}), by"
+        f" '{shlex.join(['tail', '-n', f'+{named}', str(path)])} > named.csv'"
+    )
 
 
 def shorten(line: str) -> str:
