@@ -71,7 +71,7 @@ def test_an_experiment_that_is_interrupted_twice_brakes_and_keeps_what_it_record
         os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(zendsp.experiment.lab, "_stop", again)
-    monkeypatch.setattr(zendsp.experiment.lab, "_ending", lambda target, done: first)
+    monkeypatch.setattr(zendsp.experiment.lab, "ending", lambda target, done: first)
     arm.download("pd.c")
     lab = Lab(tmp_path, arm)
     with pytest.raises(KeyboardInterrupt), lab.bench("friction") as bench:

@@ -8,6 +8,7 @@ import sys
 import warnings
 
 import click
+from click.utils import PacifyFlushWrapper
 
 from zendsp.cli.commands import cli
 from zendsp.cli.complaints import say
@@ -47,7 +48,7 @@ def main() -> None:
         sys.exit(stop.exit_code)
     except SystemExit as stop:
         # click leaves this in place of an output that nobody reads on, and ends with 1
-        unread = isinstance(sys.stdout, click.utils.PacifyFlushWrapper)
+        unread = isinstance(sys.stdout, PacifyFlushWrapper)
         sys.exit(UNREAD if unread else stop.code)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()

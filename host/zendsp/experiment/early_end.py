@@ -1,11 +1,11 @@
 """What is kept of an experiment that ends early: the rows that the host had fetched while they were
-recorded, and the result as far as it came.
+recorded, and the result as far as it came; and what ends a recording before its time.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +21,11 @@ from zendsp.link.left_moving import DOES
 from zendsp.link.metadata import ticks_of
 from zendsp.recording import Recording
 from zendsp_protocol.messages import AcquireStatus
-from zendsp_protocol.states import HostLost
+from zendsp_protocol.states import Clock, HostLost
 from zendsp_protocol.texts import counted
 
 FETCH_S = 0.5  # between two looks: no more of a recording ends with its target
+AFTER_S = 0.5  # that is still recorded when all is done
 LOST_S = 3.0  # that a link may be lost; a target stops what a lost host moves after 1 s
 
 
@@ -141,3 +142,34 @@ def _of_the_lost(bench: Bench) -> str:
 def forget_early(folder: Path) -> None:
     """Remove the result of an earlier attempt that ended early: there is a whole one."""
     (folder / ENDED).unlink(missing_ok=True)
+
+
+def watching(
+    fetched: Fetched, also: Callable[[float], None] | None
+) -> Callable[[float], None]:
+    """What is called while a recording runs: it fetches rows, and may end the recording."""
+
+    def look(fraction: float) -> None:
+        fetched.look()
+        if also is not None:
+            also(fraction)
+
+    return look
+
+
+def ending(
+    target: Target, done: Callable[[Target], bool] | None
+) -> Callable[[float], None] | None:
+    """What ends a recording on the real clock ``AFTER_S`` after it is done; called while it runs.
+    """
+    if done is None or target.info.clock != Clock.REAL:
+        return None
+    since: list[float] = []
+
+    def look(fraction: float) -> None:
+        if not since and done(target):
+            since.append(time.monotonic())
+        if since and time.monotonic() - since[0] > AFTER_S:
+            target.acquire_stop()
+
+    return look

@@ -18,7 +18,14 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError, Refused, Unmeasured, ZendspError
 from zendsp.experiment.coarse import cutoff_for
-from zendsp.experiment.early_end import LOST_S, Fetched, keep_early, not_waiting
+from zendsp.experiment.early_end import (
+    LOST_S,
+    Fetched,
+    ending,
+    keep_early,
+    not_waiting,
+    watching,
+)
 from zendsp.experiment.names import result_file
 from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
@@ -39,7 +46,6 @@ Array = npt.NDArray[np.float64]
 IDLE = {"idle.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'}
 HOLDS = "joint_pd.c"  # without a reference it holds every joint where it stands
 RESTS = 1  # phase of push.c: later ones are of the push itself
-AFTER_S = 0.5  # that is still recorded when all is done
 STILL = 0.01  # rad, m, and of its range: a joint that has moved by less stands where it stood
 ENDING = 20  # rows of a recording, that tell what holds the joints at its end
 BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
@@ -322,7 +328,7 @@ class Bench:
             with guarded(target, name, held), kept(target, [], moves=True), not_waiting(target):
                 recording = target.acquire(
                     channels, seconds=seconds, decimation=decimation, start=True, note=name,
-                    pauses=False, progress=_watching(fetched, _ending(target, done)),
+                    pauses=False, progress=watching(fetched, ending(target, done)),
                     patience=LOST_S,
                 )
                 if target.status().state == ProgramState.RUNNING:
@@ -433,37 +439,6 @@ class Bench:
 def _blocked(target: Target) -> bool:
     """Whether joint_pd.c holds the machine because a joint is blocked."""
     return int(np.asarray(target["blocked"])) > 0
-
-
-def _watching(
-    fetched: Fetched, ending: Callable[[float], None] | None
-) -> Callable[[float], None]:
-    """What is called while a recording runs: it fetches rows, and may end the recording."""
-
-    def look(fraction: float) -> None:
-        fetched.look()
-        if ending is not None:
-            ending(fraction)
-
-    return look
-
-
-def _ending(
-    target: Target, done: Callable[[Target], bool] | None
-) -> Callable[[float], None] | None:
-    """What ends a recording on the real clock ``AFTER_S`` after it is done; called while it runs.
-    """
-    if done is None or target.info.clock != Clock.REAL:
-        return None
-    since: list[float] = []
-
-    def look(fraction: float) -> None:
-        if not since and done(target):
-            since.append(time.monotonic())
-        if since and time.monotonic() - since[0] > AFTER_S:
-            target.acquire_stop()
-
-    return look
 
 
 def _stop(target: Target) -> None:
