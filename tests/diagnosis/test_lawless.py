@@ -14,6 +14,7 @@ from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import Diagnosis
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide import believed, notes, nothing_named
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import propose as proposal
@@ -137,12 +138,15 @@ def test_a_joint_that_nothing_drives_is_not_told_to_follow_a_reference() -> None
 def test_the_pole_of_a_cart_is_not_told_to_follow_a_reference(effect: str, says: str) -> None:
     """The cart is driven, so a multisine of the pole was proposed, and its file written."""
     signals: Any = SimpleNamespace()
+    run = [SimpleNamespace(command=np.ones(9)), SimpleNamespace(command=np.zeros(9))]
+    asks: Any = Parts.undriven
+    free = asks.fget(SimpleNamespace(all=SimpleNamespace(records=[run, run])))
     found: Any = [SimpleNamespace(effect=effect, joint=2, mechanism="dry_friction", confidence=0.4)]
     given: Any = SimpleNamespace(limits={}, joints=2)
-    said = proposal._without_rival([signals], given, [], found, [], 0, (2,))
+    said = proposal._without_rival([signals], given, [], found, [], 0, free)
     assert said is not None and said.reference is None and said.sentence.startswith(says)
     asked: Any = SimpleNamespace(
-        next_recording=said, given=given, undriven=(2,), stopped=False, doubted=()
+        next_recording=said, given=given, undriven=free, stopped=False, doubted=()
     )
     assert no_reference(asked).startswith("joint 2 follows no reference, since nothing drives it:")
     found[0].indistinguishable = ("viscous",)
@@ -150,7 +154,7 @@ def test_the_pole_of_a_cart_is_not_told_to_follow_a_reference(effect: str, says:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(proposal, "_separable", lambda finding, _: finding)
         decisions: Any = [SimpleNamespace(joint=2, final=SimpleNamespace(model=given))]
-        told = proposal.propose([signals], given, [search, search], found, decisions, 0, (2,))
+        told = proposal.propose([signals], given, [search, search], found, decisions, 0, free)
     assert told is not None and told.reference is None
     assert f"To tell {effect} from viscous at joint 2, which nothing drives, rec" in told.sentence
 

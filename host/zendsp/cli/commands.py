@@ -19,6 +19,7 @@ except ModuleNotFoundError:
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+UNREAD = 128 + 13  # the status of a command that SIGPIPE ends, as `head` ends what it reads
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": (
@@ -95,6 +96,13 @@ class LazyGroup(click.Group):
         module, attribute = COMMANDS[cmd_name][0].split(":")
         command: Any = getattr(importlib.import_module(module), attribute)
         return command if isinstance(command, click.Command) else None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; where nobody reads its output on, click itself would end it with 1."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as error:
+            raise click.exceptions.Exit(UNREAD) from error
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """The commands of the table above that fit; click itself would import each one for its

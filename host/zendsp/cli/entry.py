@@ -8,15 +8,13 @@ import sys
 import warnings
 
 import click
-from click.utils import PacifyFlushWrapper
 
-from zendsp.cli.commands import cli
+from zendsp.cli.commands import UNREAD, cli
 from zendsp.cli.complaints import say
 from zendsp.cli.lines import write_anywhere
 from zendsp.errors import ZendspError
 from zendsp.here.ending import interruption
 
-UNREAD = 128 + 13  # the status of a command that SIGPIPE ends, as `head` ends what it reads
 LEAST_MEMORY = 512 << 20  # bytes of addresses
 
 
@@ -43,13 +41,11 @@ def main() -> None:
     try:
         # click returns the status of a command that ended by Exit, and raises everything else
         status = cli(prog_name="zendsp", standalone_mode=False)
+        if status == UNREAD:
+            _let_go_of_output()
         sys.exit(status if isinstance(status, int) else 0)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
-    except SystemExit as stop:
-        # click leaves this in place of an output that nobody reads on, and ends with 1
-        unread = isinstance(sys.stdout, PacifyFlushWrapper)
-        sys.exit(UNREAD if unread else stop.code)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(2)

@@ -97,34 +97,24 @@ def draft_model(
     ModelError
         The robot has fewer joints than the recording, or its file cannot be taken over.
     """
-    groups = groups_of(table)
+    groups, position = groups_of(table), None
     if robot is not None:
         groups = of_arm(groups, robot)
-    position = best_group(groups, Role.POSITION)
-    if robot is not None:
-        position = all_positions(groups, robot) or position
+        position = all_positions(groups, robot)
+    position = position or best_group(groups, Role.POSITION)
     bare = [name for name, values in table.columns.items() if not np.isfinite(values).any()]
     nothing = f"{', '.join(bare)} hold{'s' if len(bare) == 1 else ''} no finite number"
     if position is None:
-        said = "".join(f" ({note})" for note in table.notes if "left out" in note)
-        speed = best_group(groups, Role.VELOCITY)
-        alone = f" A velocity alone ({', '.join(speed.names)}) is not diagnosed." if speed else ""
-        raise RecordingError(
-            f"{table.path}: no column looks like a position; it has"
-            f" {', '.join(told(table.columns))}{f', of which {nothing}' if bare else ''}{said}."
-            " Name one q, position or theta, or give its unit: 'x1 [rad]'; a model file of your own"
-            f" names any column.{alone}"
-        )
+        raise _no_position(table, groups, f", of which {nothing}" if bare else "")
     joints = position.values.shape[1]
     known = machine if machine is not None and len(machine.joints) == joints else None
     if known is not None and any(known.slides):
         groups = sliding(groups, known.slides)
         position = best_group(groups, Role.POSITION) or position
     groups, command, asked = driven_by(groups, position)
-    if robot is not None and command is None:
-        command = all_commands(groups, robot)
     command = command and in_order(command, position)
     if robot is not None:
+        command = command or all_commands(groups, robot)
         joints_there = joints_in(robot)
         position, _ = by_joints(position, joints_there)
         command = command and by_joints(command, joints_there)[0]
@@ -162,6 +152,19 @@ def draft_model(
     _feedback(page)
     put_columns(page, table, groups, clock, position, command, joints)
     return Draft("\n".join(page.lines) + "\n", joints, tuple(page.questions), page.unused)
+
+
+def _no_position(table: Table, groups: dict[Role, list[Group]], bare: str) -> RecordingError:
+    """The error of a recording in which no column looks like a position."""
+    said = "".join(f" ({note})" for note in table.notes if "left out" in note)
+    speed = best_group(groups, Role.VELOCITY)
+    alone = f" A velocity alone ({', '.join(speed.names)}) is not diagnosed." if speed else ""
+    return RecordingError(
+        f"{table.path}: no column looks like a position; it has"
+        f" {', '.join(told(table.columns))}{bare}{said}."
+        " Name one q, position or theta, or give its unit: 'x1 [rad]'; a model file of your own"
+        f" names any column.{alone}"
+    )
 
 
 def _ask_of_holes(page: Page, groups: Sequence[Group]) -> None:
