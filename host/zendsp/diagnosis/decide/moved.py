@@ -78,6 +78,12 @@ def friction_moved(given: Model, calibrated: Model, joint: int) -> bool:
     )
 
 
+def count_moved(given: Model, calibrated: Model) -> int:
+    """The count of given numbers that calibration moved beyond their tolerance."""
+    joints = range(1, given.joints + 1)
+    return sum(n.is_far for joint in joints for n in _numbers(given, calibrated, joint))
+
+
 def bodies_wrong(given: Model, improved: Model) -> int:
     """The count of body numbers of a planar arm that moved beyond their tolerance."""
     if given.kind != "planar2r":

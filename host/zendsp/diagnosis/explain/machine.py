@@ -24,7 +24,7 @@ from zendsp.diagnosis.decide.decide_bodies import (
 )
 from zendsp.diagnosis.decide.fast_ripple import finding_of
 from zendsp.diagnosis.decide.findings import Finding
-from zendsp.diagnosis.decide.moved import bodies_wrong
+from zendsp.diagnosis.decide.moved import bodies_wrong, count_moved
 from zendsp.diagnosis.decide.thresholds import OWN_SHARE
 from zendsp.diagnosis.explain.joints import (
     Done,
@@ -52,7 +52,7 @@ from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions, upon, with_ties
 from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.model import Model
+from zendsp.physics.model import TREES, Model
 
 # where joints claim what a body could explain, a small one is considered too
 BESIDE = replace(LIMITS, little=0.0, least=0.0)
@@ -145,12 +145,43 @@ def _settled_once(
     if own is not None:
         again = _beneath(bodies.taken(own), measured_motion, parts, given, jobs, tell, without)
         found = again if _replaces(again, found, given) else found
+    if given.kind in TREES and _all_weigh(found.decisions):
+        found = _or_plain_body(found, measured_motion, parts, given, jobs, tell)
     finished = _finished(found, given, jobs, tell)
     if finished.claims and _predicts_worse(finished, given):
         none = replace(bodies, model=given, found=())
         found = _beneath(none, measured_motion, parts, given, jobs, tell)
         finished = _finished(found, given, jobs, tell)
     return finished
+
+
+def _or_plain_body(
+    found: Found, measured_motion: Parts, parts: Parts, given: Model, jobs: int, tell: Progress
+) -> Found:
+    """The findings, or those with one body in place of them all, where that takes fewer claims and
+    given numbers that calibration moved. It is looked for with the rotors and constants that the
+    model states: along a slide a payload is an inertia and a constant, and a weaker drive with less
+    friction of every kind is the same, exactly.
+    """
+    search = find_bodies(parts.fit, parts.choose, given, jobs, tell, replace(LIMITS, own=False))
+    body = next(iter((*search.found, *(b for b, _ in search.instead))), None)
+    if body is None:
+        return found
+    none = replace(found.bodies, model=given, found=())
+    again = _beneath(none.taken(body), measured_motion, parts, given, jobs, tell)
+
+    def cost(f: Found) -> int:
+        claims = len(f.claims) + sum(len(d.claims) for d in f.decisions)
+        nameless = sum(d.kind == Verdict.UNEXPLAINED for d in f.decisions)
+        return claims + nameless + count_moved(given, f.whole.improved)
+
+    return again if _replaces(again, found, given) and cost(again) < cost(found) else found
+
+
+def _all_weigh(decisions: Sequence[Decision]) -> bool:
+    """Whether joints claim something, and all of that may be the torque of a body."""
+    claims = [c for d in decisions for c in d.claims]
+    return bool(claims) and all(map(_of_a_body, claims))
 
 
 def _predicts_worse(found: Found, given: Model) -> bool:
@@ -182,8 +213,8 @@ def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
 
 def _replaces(body: Found, joints: Found, given: Model) -> bool:
     """Whether a claimed body stands in place of what the joints that bear it claim: it predicts as
-    well, or as well as the sensor lets anyone judge; and beside claims that are no torque of a body
-    there are fewer findings.
+    well but for a thousandth of what they explain, or as well as the sensor lets anyone judge; and
+    beside claims that are no torque of a body there are fewer findings.
 
     A body that explains as much as a joint's fault need not be what the joint before it lacks: a
     gain of 0.9 beside a balancer was a payload, with which 20 % stayed unexplained there.
@@ -194,8 +225,10 @@ def _replaces(body: Found, joints: Found, given: Model) -> bool:
     if any(d.claims and d.joint in bear and not _weighs(d) for d in joints.decisions):
         more = 1 - len(body.claims)
         return plainer(test, given, body.explained, joints.explained, more)
-    errors = [model_error(test, f.whole.improved) for f in (body, joints)]
-    return errors[0] <= max((1.0 + AS_GOOD) * errors[1], BEYOND * noise_floor(test))
+    models = (body.whole.improved, joints.whole.improved, joints.whole.calibrated)
+    error, other, before = (model_error(test, m) for m in models)
+    slack = AS_GOOD * max(other, before - other)  # also of what refinements of friction add to both
+    return error <= max(other + slack, BEYOND * noise_floor(test))
 
 
 def _may_weigh(decision: Decision) -> bool:

@@ -156,8 +156,8 @@ def find_bodies(
         A joint counts from another zero.
     """
     links = fit.records[0][0].links
-    # at a single joint a payload is an inertia and a gravity
-    if links is None or all(b.parent < 0 for b in links.bodies):
+    # at a single joint a payload is an inertia and a gravity, where it may have those of its own
+    if links is None or (limits.own and all(b.parent < 0 for b in links.bodies)):
         return BodySearch(model)
     layout = Layout(model, links)
 

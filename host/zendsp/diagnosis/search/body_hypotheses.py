@@ -27,6 +27,7 @@ class BodyLimits:
     still: float = 0.05
     memory: float = 0.1  # s for which an observer remembers that a joint stuck
     by_load: bool = True  # dry friction may grow with a joint's load
+    own: bool = True  # each joint may have a rotor and a constant torque that its model has not
     # standard deviations over the blocks within which two explanations are as good
     tie: float = 2.5
     # the same for two sets of numbers of one link: too few numbers lead to faults of single joints

@@ -39,10 +39,11 @@ class Solver:
     ) -> None:
         self.fit, self.choose, self.layout, self.limits = fit, choose, layout, limits
         self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
-        rotors = rotors and layout.rotors
+        rotors = rotors and layout.rotors and limits.own
         self.aside, self.rotors = aside, rotors
         whole, n = fit.whole, NUISANCE
-        free = list(range(n) if rotors else range(n - 1))  # the last column is the rotor's
+        # the first column is the constant's, the last one the rotor's
+        free = list(range(0 if limits.own else 1, n if rotors else n - 1))
         own = list(range(layout.own, layout.width))
         more = [n - 1] if not layout.rotors else []
         outs = [free + more + own if j + 1 in aside else free for j in range(layout.joints)]
