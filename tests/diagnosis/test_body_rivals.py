@@ -273,17 +273,20 @@ def test_a_body_is_asked_for_by_a_joints_largest_claim_or_where_it_has_none(
 
 
 @pytest.mark.parametrize(
-    ("claims", "error", "plainer", "stands"),
+    ("claims", "error", "before", "plainer", "stands"),
     [
-        ((GAIN,), 1.0, False, True),
-        ((GAIN,), 80.0, False, False),
-        ((GAIN, ENCODER), 1.0, True, True),
-        ((GAIN, ENCODER), 1.0, False, False),
+        ((GAIN,), 1.0, 1.0, False, True),
+        ((GAIN,), 80.0, 90.0, False, False),
+        ((GAIN,), 1.5, 900.0, False, True),  # but for a thousandth of what they explain
+        ((GAIN,), 1.5, 90.0, False, False),
+        ((GAIN, ENCODER), 1.0, 1.0, True, True),
+        ((GAIN, ENCODER), 1.0, 1.0, False, False),
     ],
 )
 def test_a_body_in_place_of_joints_claims_predicts_as_well_as_these(
     claims: tuple[Claim, ...],
     error: float,
+    before: float,
     plainer: bool,
     stands: bool,
     monkeypatch: pytest.MonkeyPatch,
@@ -295,7 +298,8 @@ def test_a_body_in_place_of_joints_claims_predicts_as_well_as_these(
     given: Any = None
 
     def found(improved: float, claims: tuple[Any, ...], *decisions: Any) -> Any:
-        bare, whole = SimpleNamespace(test=None), SimpleNamespace(improved=improved)
+        bare = SimpleNamespace(test=None)
+        whole = SimpleNamespace(improved=improved, calibrated=before)
         return SimpleNamespace(
             bare=bare, whole=whole, claims=claims, decisions=decisions, explained=None
         )

@@ -270,5 +270,5 @@ def test_a_stiff_spring_is_named_where_the_whole_missing_torque_oscillates_with_
     )
     (seen,) = one_sensor.shown(nothing, nothing, [decision])
     assert seen.claims == ((claim,) if named else ())
-    moved: Any = SimpleNamespace(drives=lambda _joint: True)
+    moved: Any = SimpleNamespace(undriven=frozenset())
     assert bool(one_sensor.unseen(moved, nothing, [seen])) is not named
