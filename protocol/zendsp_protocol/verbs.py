@@ -154,6 +154,19 @@ class AcquireStart(Arguments, frozen=True, kw_only=True):
     """Whether the trigger is waited for."""
 
     force: bool = False  # fires the trigger by hand
+    begun: int | None = None  # as of acquire_stop
+
+
+class OfRows(Arguments, frozen=True, kw_only=True):
+    """Of which rows the recorder is asked."""
+
+    begun: int | None = None  # of AcquireStatus: refused where it has others; nil: any
+
+
+class AcquireStatus(OfRows, frozen=True, kw_only=True):
+    """Of which rows it is asked, and whether their host has them."""
+
+    loaded: bool = False  # all are brought home: other hosts may record
 
 
 class AcquireRead(Arguments, frozen=True, kw_only=True):
@@ -162,6 +175,7 @@ class AcquireRead(Arguments, frozen=True, kw_only=True):
     first: int  # index of a row
     count: int  # rows
     chunk: int = 1 << 20  # bytes of one reply, about
+    begun: int | None = None  # as of acquire_stop
 
 
 class TableBegin(Arguments, frozen=True, kw_only=True):
@@ -370,19 +384,19 @@ _ROWS = (
         does="says what the recorder records",
     ),
     Verb(
-        "acquire_start", AcquireStart, m.Empty, "quick", role="tune", once=True,
+        "acquire_start", AcquireStart, m.AcquireStatus, "quick", role="tune", once=True,
         does="starts it, or arms the trigger",
     ),
     Verb(
-        "acquire_stop", Nothing, m.Empty, "quick", role="tune", once=True,
+        "acquire_stop", OfRows, m.Empty, "quick", role="tune", once=True,
         does="ends the recording",
     ),
     Verb(
-        "acquire_status", Nothing, m.AcquireStatus, "quick", role="observe",
+        "acquire_status", AcquireStatus, m.AcquireStatus, "quick", role="observe",
         does="how far it is",
     ),
     Verb(
-        "acquire_held", Nothing, m.Held, "quick", role="observe",
+        "acquire_held", OfRows, m.Held, "quick", role="observe",
         does="where its rows stand in shared memory",
     ),
     Verb(

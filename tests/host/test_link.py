@@ -236,14 +236,15 @@ def test_a_recorder_in_use_is_refused_to_others_unless_taken(running: Target) ->
 
 
 @pytest.mark.parametrize(
-    ("what", "says"),
+    ("what", "wrong", "says"),
     [
-        ("load", "the program was replaced before the recording was complete"),
-        ("take", "another recording was begun on this target before this one was complete"),
+        ("load", Incomplete, "the program was replaced before the recording was complete"),
+        ("take", Refused, r"\S+ began another recording on this target before this one was"),
     ],
+    ids=["load", "take"],
 )
 def test_a_recording_whose_rows_would_be_others_is_no_recording(
-    running: Target, what: str, says: str
+    running: Target, what: str, wrong: type[Exception], says: str
 ) -> None:
     with connect("fake") as other:
 
@@ -254,7 +255,7 @@ def test_a_recording_whose_rows_would_be_others_is_no_recording(
                 other.acquire_configure(["Kp1"], 60.0, take=True)
                 other.acquire_start()
 
-        with pytest.raises(Incomplete, match=says) as caught:
+        with pytest.raises(wrong, match=says) as caught:
             running.acquire(["q"], 60.0, progress=disturb)
         if what == "load":
             assert "acquire_load() brings home" in caught.value.__notes__[0]
@@ -267,7 +268,7 @@ def test_what_another_host_recorded_meanwhile_is_not_taken_for_ones_own(running:
     assert running.acquire_finish().columns == ("q[0]", "q[1]")
     with connect("fake") as other:
         other.acquire(["Kp1"], 0.05, take=True)
-        with pytest.raises(Incomplete, match="another recording was begun on this target before"):
+        with pytest.raises(Refused, match=f"{other.link.author} began another recording on this"):
             running.acquire_finish()
         assert running.acquire_load().columns == ("Kp1",)
         assert other.acquire_finish().columns == ("Kp1",)

@@ -14,11 +14,11 @@ from zendsp.link.transfer import room
 
 
 def test_a_long_recording_takes_memory_only_as_rows_arrive() -> None:
-    status = SimpleNamespace(channels=("q",), begun=1, first=0, count=0, state="stopped")
-    recorder: Any = SimpleNamespace(insist=lambda verb, patience: status)
+    status = SimpleNamespace(channels=("q",), first=0, count=0, state="stopped")
+    recorder: Any = SimpleNamespace(_ask=lambda verb, patience, begun: status)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(AcquisitionError, match="ended after 0 of 100000000 rows"):
-        Recorder._follow(recorder, 100_000_000, "", None, 1.0, None)
+        Recorder._follow(recorder, 1, 100_000_000, "", None, 1.0, None)
     taken_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert taken_kb < 400_000, "of 800 MB that the whole recording will need"
 

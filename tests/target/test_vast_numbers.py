@@ -119,13 +119,12 @@ def test_a_recording_that_is_refused_leaves_the_one_before_alone(make_runtime: M
     until(lambda: desk.ask("acquire_status").state == "done", "the recording")
     before = desk.ask("acquire_status")
     with pytest.raises(AcquisitionError):
-        desk.ask("acquire_configure", "bob", channels=["mistyped"])
+        desk.ask("acquire_configure", "anna", channels=["mistyped"])
     assert desk.ask("acquire_status") == before
     desk.ask("unload")
     with pytest.raises(AcquisitionError):
-        desk.ask("acquire_start", "bob")
+        desk.ask("acquire_start", "anna")
     assert desk.ask("acquire_status").begun == before.begun
-    assert before.begun == 2
 
 
 NUMBERS = range(900)

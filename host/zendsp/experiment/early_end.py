@@ -56,6 +56,7 @@ class Fetched:
         self._target = target
         self._next = time.monotonic() + FETCH_S
         self._begun: Recording | None = None
+        self._number = 0  # of the recording
         self._status: AcquireStatus | None = None
         self._rows: list[np.typing.NDArray[np.float64]] = []
 
@@ -66,13 +67,15 @@ class Fetched:
         self._next = time.monotonic() + FETCH_S
         with suppress(AcquisitionError):  # no row yet, or a ring that has overwritten some
             if self._begun is None:
+                self._number = self._target.acquire_status().begun
                 self._begun = self._target.acquire_load(patience=LOST_S)
             status = self._target.acquire_status()
             have = len(self._begun) + sum(map(len, self._rows))
             if status.count > have:
                 self._rows.append(
                     self._target.load_rows(
-                        have, status.count - have, len(status.channels), patience=LOST_S
+                        have, status.count - have, len(status.channels), patience=LOST_S,
+                        begun=self._number,
                     )
                 )
             self._status = status

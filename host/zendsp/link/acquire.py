@@ -6,13 +6,13 @@ import contextlib
 import numbers
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
 
 from zendsp.errors import (
     AcquisitionError,
-    Incomplete,
     Refused,
     TooLarge,
     VariableError,
@@ -22,7 +22,7 @@ from zendsp.here.uninterrupted import uninterrupted
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp.link.transfer import Transfers, room
-from zendsp.link.wait_recorded import BEGUN_ANEW, POLL_S, wait_done
+from zendsp.link.wait_recorded import ENDED, POLL_S, wait_done
 from zendsp.prompt import shows_progress
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from zendsp.recording import Recording
+    from zendsp.recording.names import FloatArray
 else:
     np = Lazily("numpy")
 
@@ -59,7 +60,6 @@ class Recorder(Transfers):
     def __init__(self, requests: Requests, parameters: ParameterSets) -> None:
         super().__init__(requests)
         self._parameters = parameters
-        self._begun: int | None = None  # the recording that this host started last, by its number
 
     @shows_progress
     def acquire(
@@ -120,7 +120,8 @@ class Recorder(Transfers):
             No such channel, or more rows than the target can keep. On the real clock and without a
             trigger, rows are fetched while they are recorded: only the host's memory counts.
         Refused
-            The program does not run, or another host is recording.
+            The program does not run, another host is recording, or one took the recorder over
+            (`take`).
         RunnerDied
             The program crashed meanwhile; `acquire_load` brings home what was recorded until
             then.
@@ -133,28 +134,28 @@ class Recorder(Transfers):
                 f"nothing to record: the program is {status.state}; start it first, or with the"
                 " recording (--start, start=True)"
             )
-        ring_s = self._configure_shot(
+        ring_s, begun = self._configure_shot(
             channels, seconds, decimation, trigger, take, status.clock == Clock.REAL
         )
         if timeout is None and trigger is None:
             timeout = 2.0 * seconds + 10.0
         try:
-            self.acquire_start()
+            begun = self._start(begun)
             if start:
                 # The row of the last wanted sample is written in that sample: so many ticks and not
                 # one more.
                 self.request("start", ticks=max(1, round(seconds * status.rate_hz)))
             if ring_s < seconds:
                 wanted = max(1, round(seconds * status.rate_hz / decimation))
-                return self._follow(wanted, note, timeout, patience, progress)
-            return self.acquire_finish(timeout, note, progress, patience)
+                return self._follow(begun, wanted, note, timeout, patience, progress)
+            return self._finish(begun, timeout, note, progress, patience)
         except ZendspError:
             raise
         except BaseException:  # Ctrl-C, or what `progress` raised: nobody waits for it any more
             with uninterrupted(), contextlib.suppress(ZendspError):
                 if start and pauses:
                     self.request("pause")
-                self._end_ring(0.0)
+                self._end_ring(begun, 0.0)
             raise
 
     def _need_channels(self, channels: Sequence[str], status: m.Status) -> None:
@@ -174,13 +175,13 @@ class Recorder(Transfers):
         trigger: Trigger | None,
         take: bool,
         may_follow: bool,
-    ) -> float:
+    ) -> tuple[float, int]:
         """Configure a shot, or a ring as long as the target's memory allows; return the seconds
-        that it holds.
+        that it holds, and its number.
         """
         try:
-            self.acquire_configure(channels, seconds, decimation, trigger, take=take)
-            return seconds
+            status = self.acquire_configure(channels, seconds, decimation, trigger, take=take)
+            return seconds, status.begun
         except TooLarge as error:
             # Only a loop that keeps to real time can be followed; and a trigger needs the whole
             # shot in one piece.
@@ -189,8 +190,10 @@ class Recorder(Transfers):
             held = seconds / 2.0
             while True:
                 try:
-                    self.acquire_configure(channels, held, decimation, continuous=True, take=take)
-                    return held
+                    status = self.acquire_configure(
+                        channels, held, decimation, continuous=True, take=take
+                    )
+                    return held, status.begun
                 except TooLarge:
                     held /= 2.0
                     if held < SHORTEST_RING_S:
@@ -198,6 +201,7 @@ class Recorder(Transfers):
 
     def _follow(
         self,
+        begun: int,
         wanted: int,
         note: str,
         timeout: float | None,
@@ -206,14 +210,11 @@ class Recorder(Transfers):
     ) -> Recording:
         """Load rows while they are recorded, for shots that do not fit into the target's memory."""
         deadline = None if timeout is None else time.monotonic() + timeout
-        status: m.AcquireStatus = self.insist("acquire_status", patience)
-        begun = status.begun
+        status: m.AcquireStatus = self._ask("acquire_status", patience, begun)
         data = room(wanted, len(status.channels))
         have = gone = 0
         while have < wanted:
-            status = self.insist("acquire_status", patience)
-            if status.begun != begun:
-                raise Incomplete(BEGUN_ANEW)
+            status = self._ask("acquire_status", patience, begun)
             if status.first > have:  # overwritten before they were fetched: NaN, and counted
                 first = min(status.first, wanted)
                 data[have:first] = np.nan
@@ -223,7 +224,7 @@ class Recorder(Transfers):
             if count > 0:
                 try:
                     data[have : have + count] = self.load_rows(
-                        have, count, len(status.channels), None, patience
+                        have, count, len(status.channels), None, patience, begun
                     )
                     have += count
                 except AcquisitionError:
@@ -240,13 +241,11 @@ class Recorder(Transfers):
                     f"the recording ended after {have} of {wanted} rows ({status.state})"
                 )
             time.sleep(POLL_S)
-        self.request("acquire_stop")
+        self._ask("acquire_stop", 0.0, begun)
         status = msgspec.structs.replace(
-            status, lost=max(status.lost, gone), wanted=wanted, begun=begun
+            status, state=RecorderState.DONE, lost=max(status.lost, gone), wanted=wanted
         )
-        from zendsp.link.metadata import describe  # with NumPy: not before there are rows
-
-        return describe(self._parameters, status, 0, data, note, patience)
+        return self._described(status, 0, data, note, patience)
 
     def acquire_configure(
         self,
@@ -277,7 +276,7 @@ class Recorder(Transfers):
         AcquisitionError
             No such channel, or more than the target's memory holds.
         Refused
-            Another host is recording.
+            Another host is recording, has just set a recording up, or loads its rows.
         """
         _check_seconds(seconds)
         whole = isinstance(decimation, numbers.Integral) and not isinstance(decimation, bool)
@@ -294,16 +293,34 @@ class Recorder(Transfers):
             "acquire_configure", channels=names, seconds=seconds, decimation=decimation,
             trigger=trigger, continuous=continuous, take=take,
         )
+        self._begun = result.begun
         return result
 
     def acquire_start(self, force: bool = False) -> None:
-        """Start or arm the recorder; ``force`` fires the trigger by hand."""
-        self.request("acquire_start", force=force)
-        self._begun = self.acquire_status().begun
+        """Start or arm the recorder; ``force`` fires the trigger by hand.
+
+        Raises
+        ------
+        Refused
+            Another host took the recorder over since this one set it up, or is recording.
+        """
+        self._start(self._begun, force)
+
+    def _start(self, begun: int | None, force: bool = False) -> int:
+        """Start the recording of a number; return the number of its rows."""
+        status: m.AcquireStatus = self._ask("acquire_start", None, begun, force=force)
+        self._begun = status.begun
+        return status.begun
 
     def acquire_stop(self) -> None:
-        """Stop the recorder; what it holds stays loadable."""
-        self.request("acquire_stop")
+        """Stop the recorder; what it holds stays loadable.
+
+        Raises
+        ------
+        Refused
+            Another host took the recorder over since this one set it up.
+        """
+        self._ask("acquire_stop", None, self._begun)
 
     def acquire_status(self) -> m.AcquireStatus:
         """State of the recorder."""
@@ -332,18 +349,41 @@ class Recorder(Transfers):
         ------
         AcquisitionError
             Nothing was recorded.
+        Refused
+            Another host took the recorder over since this one set it up; asked again, this brings
+            home what that one recorded.
         """
-        status: m.AcquireStatus = self.insist("acquire_status", patience)
+        return self._load(self._begun, note, progress, patience)
+
+    def _load(
+        self,
+        begun: int | None,
+        note: str,
+        progress: Callable[[float], None] | None,
+        patience: float,
+    ) -> Recording:
+        status: m.AcquireStatus = self._ask("acquire_status", patience, begun)
         if status.count <= status.first:
             raise AcquisitionError(
                 f"nothing was recorded (the recorder is {status.state}); start it and the program"
             )
         data = self.load_rows(
-            status.first, status.count - status.first, len(status.channels), progress, patience
+            status.first, status.count - status.first, len(status.channels), progress, patience,
+            status.begun,
         )
+        return self._described(status, status.first, data, note, patience)
+
+    def _described(
+        self, status: m.AcquireStatus, first: int, data: FloatArray, note: str, patience: float
+    ) -> Recording:
+        """The recording of loaded rows; the target is told that it is brought home."""
         from zendsp.link.metadata import describe  # with NumPy: not before there are rows
 
-        return describe(self._parameters, status, status.first, data, note, patience)
+        recording = describe(self._parameters, status, first, data, note, patience)
+        if status.state in ENDED:
+            with contextlib.suppress(ZendspError):  # the rows are here
+                self.request("acquire_status", begun=status.begun, loaded=True)
+        return recording
 
     @shows_progress
     def acquire_finish(
@@ -370,31 +410,41 @@ class Recorder(Transfers):
         Raises
         ------
         Incomplete
-            Not within ``timeout``, or the program no longer runs; or another host began another
-            recording since `acquire_start`.
+            Not within ``timeout``, or the program no longer runs.
+        Refused
+            Another host took the recorder over since this one set it up.
         RunnerDied
             The program crashed; `acquire_load` brings home what there is.
         """
-        status: m.AcquireStatus = self.insist("acquire_status", patience)
-        if self._begun is not None and status.begun > self._begun:
-            raise Incomplete(
-                "another recording was begun on this target before this one was fetched;"
-                " acquire_load() brings home that one"
-            )
-        if status.wanted == 0 and status.state == RecorderState.RUNNING:
-            self._end_ring(patience)
-        else:
-            wait_done(self.insist, self._end_ring, timeout, patience, progress)
-        return self.acquire_load(note, None, patience)
+        return self._finish(self._begun, timeout, note, progress, patience)
 
-    def _end_ring(self, patience: float) -> None:
+    def _finish(
+        self,
+        begun: int | None,
+        timeout: float | None,
+        note: str,
+        progress: Callable[[float], None] | None,
+        patience: float,
+    ) -> Recording:
+        status: m.AcquireStatus = self._ask("acquire_status", patience, begun)
+        if status.wanted == 0 and status.state == RecorderState.RUNNING:
+            self._end_ring(status.begun, patience)
+        else:
+            wait_done(
+                partial(self._ask, "acquire_status", patience, status.begun),
+                partial(self.insist, "status", patience),
+                partial(self._end_ring, status.begun, patience), timeout, progress,
+            )
+        return self._load(status.begun, note, None, patience)
+
+    def _end_ring(self, begun: int, patience: float) -> None:
         """Stop a ring and wait until the loop has stopped writing: what is loaded then no longer
         changes.
         """
-        self.acquire_stop()
+        self._ask("acquire_stop", None, begun)
         deadline = time.monotonic() + END_S
         while (
-            self.insist("acquire_status", patience).state == RecorderState.RUNNING
+            self._ask("acquire_status", patience, begun).state == RecorderState.RUNNING
             and time.monotonic() < deadline
         ):
             time.sleep(POLL_S)

@@ -13,7 +13,7 @@ import msgspec.json
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import AcquisitionError, Refused, RunnerDied
+from zendsp.errors import Refused, RunnerDied
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.variables import Reading, plain
 from zendsp.recording import Channel, ParameterChange, Recording
@@ -118,11 +118,8 @@ def _made_by(
         read = Reading(last, {})  # the program is gone; its log still tells
     # after the reading, so that it holds all changes that the reading shows
     changes: Sequence[m.Change] = parameters.insist("log", patience, since=program.log_start)
-    now: m.AcquireStatus = parameters.insist("acquire_status", patience)
-    if now.begun != status.begun:
-        raise AcquisitionError(
-            "the recorder was started anew while its rows were loaded: record again"
-        )
+    # refused where the rows are others by now
+    now: m.AcquireStatus = parameters.insist("acquire_status", patience, begun=status.begun)
     if not now.replaced:  # asked last: another may have been loaded meanwhile
         return program, read, changes, False
     gone: m.Replaced = parameters.insist("acquire_program", patience)

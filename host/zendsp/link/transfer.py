@@ -11,10 +11,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from zendsp.errors import AcquisitionError, LinkError
-from zendsp.link.requests import PATIENCE_S, Part
+from zendsp.errors import AcquisitionError, LinkError, Refused
+from zendsp.link.requests import PATIENCE_S, Part, Requests
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, KERNEL, folded_crc, gaps, spans
@@ -132,7 +132,30 @@ def read_held(file: int, held: m.Held, first: int, rows: FloatArray) -> None:
 
 
 class Transfers(Part):
-    """Loads rows of a target's recorder."""
+    """Asks about rows of a target's recorder, and loads them."""
+
+    def __init__(self, requests: Requests) -> None:
+        super().__init__(requests)
+        self._begun: int | None = None  # the recording that this host set up last, by its number
+
+    def _ask(
+        self, verb: str, patience: float | None, begun: int | None, **arguments: Any
+    ) -> Any:
+        """Ask about the rows of a number, past outages of ``patience`` s; None: only once.
+
+        Raises
+        ------
+        Refused
+            The recorder has others: those of this host are gone.
+        """
+        try:
+            if patience is None:
+                return self.request(verb, begun=begun, **arguments)
+            return self.insist(verb, patience, begun=begun, **arguments)
+        except Refused:
+            if begun == self._begun:
+                self._begun = None
+            raise
 
     def load_rows(
         self,
@@ -141,51 +164,46 @@ class Transfers(Part):
         columns: int,
         progress: Callable[[float], None] | None = None,
         patience: float = PATIENCE_S,
+        begun: int | None = None,
     ) -> FloatArray:
         """Rows of the recorder, shape ``(count, columns)``; the transfer resumes after a broken
         link.
+
+        Parameters
+        ----------
+        first, count, columns : int
+        progress : callable, optional
+            Called with the fraction done.
+        patience : float, s
+        begun : int, optional
+            Number of the rows, of `AcquireStatus`. Default: whatever rows there are.
 
         Raises
         ------
         AcquisitionError
             Some of them are not held, or were overwritten meanwhile.
+        Refused
+            The recorder has others than those of number ``begun``.
         LinkError
             The target did not come back within ``patience`` s.
         """
         if self.link.own:
-            held: m.Held = self.insist("acquire_held", patience)
+            held: m.Held = self._ask("acquire_held", patience, begun)
             file = open_held(held)
             if file >= 0:
                 try:
-                    return self._load_held(file, held, first, count, columns, progress, patience)
+                    data = _read_checked(file, held, first, count, columns, progress)
                 finally:
                     os.close(file)
-        return self._load_streamed(first, count, columns, progress, patience)
-
-    def _load_held(
-        self,
-        file: int,
-        held: m.Held,
-        first: int,
-        count: int,
-        columns: int,
-        progress: Callable[[float], None] | None,
-        patience: float,
-    ) -> FloatArray:
-        _check_held(held, first, count, columns)
-        data: FloatArray = np.empty((count, columns))
-        for start, length in spans(0, count, PIECE_BYTES // (8 * columns)):
-            read_held(file, held, first + start, data[start : start + length])
-            if progress is not None:
-                progress((start + length) / count)
-        # what the loop has overwritten by now may have been overwritten while it was read
-        now: m.Held = self.insist("acquire_held", patience)
-        if (now.device, now.inode) != (held.device, held.inode):
-            raise AcquisitionError(
-                "the recorder was configured again while its rows were loaded: record again"
-            )
-        _check_held(now, first, count, columns)
-        return data
+                # what the loop has overwritten by now may have been so while it was read
+                now: m.Held = self._ask("acquire_held", patience, begun)
+                if (now.device, now.inode) != (held.device, held.inode):
+                    raise AcquisitionError(
+                        "the recorder was configured again while its rows were loaded: record again"
+                    )
+                _check_held(now, first, count, columns)
+                return data
+        return self._load_streamed(first, count, columns, progress, patience, begun)
 
     def _load_streamed(
         self,
@@ -194,6 +212,7 @@ class Transfers(Part):
         columns: int,
         progress: Callable[[float], None] | None,
         patience: float,
+        begun: int | None,
     ) -> FloatArray:
         rows = Rows(columns, count)
         rows.origin = first
@@ -202,7 +221,9 @@ class Transfers(Part):
         while missing := gaps(rows.pieces, first, count):
             before = rows.count
             start, length = missing[0]
-            arguments = {"first": start, "count": min(length, each), "chunk": CHUNK_BYTES}
+            arguments = {
+                "first": start, "count": min(length, each), "chunk": CHUNK_BYTES, "begun": begun,
+            }
             try:
                 self.link.stream("acquire_read", arguments, rows.take)
             except LinkError:
@@ -212,6 +233,23 @@ class Transfers(Part):
             if progress is not None:
                 progress(rows.count / count)
         return rows.data
+
+
+def _read_checked(
+    file: int,
+    held: m.Held,
+    first: int,
+    count: int,
+    columns: int,
+    progress: Callable[[float], None] | None,
+) -> FloatArray:
+    _check_held(held, first, count, columns)
+    data: FloatArray = np.empty((count, columns))
+    for start, length in spans(0, count, PIECE_BYTES // (8 * columns)):
+        read_held(file, held, first + start, data[start : start + length])
+        if progress is not None:
+            progress((start + length) / count)
+    return data
 
 
 def _check_held(held: m.Held, first: int, count: int, columns: int) -> None:

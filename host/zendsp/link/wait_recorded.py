@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 from zendsp.errors import Incomplete, RunnerDied, ZendspError
 from zendsp_protocol import messages as m
@@ -14,40 +13,35 @@ ENDED = (RecorderState.DONE, RecorderState.IDLE)
 POLL_S = 0.02
 AFTER_TRIP_S = 1.0  # of the target's time: how the machine comes to rest is recorded
 AFTER_TRIP_REAL_S = 3.0  # of real time: samples may have ended
-BEGUN_ANEW = "another recording was begun on this target before this one was complete"
 
 
 def wait_done(
-    insist: Callable[..., Any],
-    end_ring: Callable[[float], None],
+    look: Callable[[], m.AcquireStatus],
+    status_of: Callable[[], m.Status],
+    end_ring: Callable[[], None],
     timeout: float | None,
-    patience: float,
     progress: Callable[[float], None] | None,
 ) -> m.AcquireStatus:
     """The status of a recorder once it has all of its rows, or was ended by a host.
 
     Parameters
     ----------
-    insist : callable
-        Asks the target, ``insist(verb, patience)``, also past a broken link.
+    look, status_of : callable
+        Ask for the status of the recorder and of the target, also past a broken link.
     end_ring : callable
-        Stops the recorder, ``end_ring(patience)``.
+        Stops the recorder.
     timeout, progress
         As for `Recorder.acquire_finish`.
-    patience : float, s
 
     Raises
     ------
-    Incomplete, RunnerDied
+    Incomplete, Refused, RunnerDied
         As of `Recorder.acquire_finish`.
     """
     deadline = None if timeout is None else time.monotonic() + timeout
-    stood, begun = 0.0, None
+    stood = 0.0
     while True:
-        status: m.AcquireStatus = insist("acquire_status", patience)
-        begun = status.begun if begun is None else begun
-        if status.begun != begun:
-            raise Incomplete(BEGUN_ANEW)
+        status = look()
         if progress is not None and status.wanted:
             progress(min(1.0, (status.count - status.first) / status.wanted))
         if status.state in ENDED and status.count - status.first >= status.wanted:
@@ -57,7 +51,7 @@ def wait_done(
                 f"the program was replaced before the recording was complete "
                 f"({status.count - status.first} of {status.wanted} rows)"
             ))  # fmt: skip
-        overall: m.Status = insist("status", patience)
+        overall = status_of()
         if overall.state == ProgramState.CRASHED:
             raise _loadable(RunnerDied(overall.crash))
         lost = overall.trip is not None and overall.trip.reason == TripReason.HOST_LOST
@@ -70,10 +64,10 @@ def wait_done(
         if (
             not running
             and not _comes_to_rest(overall, stood)
-            and insist("acquire_status", patience).state not in ENDED
+            and look().state not in ENDED
         ):
-            end_ring(patience)
-            status = insist("acquire_status", patience)
+            end_ring()
+            status = look()
             if status.count - status.first >= status.wanted:
                 return status
             raise _cut_short(overall, status)

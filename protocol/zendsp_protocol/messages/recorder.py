@@ -32,7 +32,7 @@ class AcquireStatus(Message, frozen=True):
     gaps: tuple[tuple[int, int], ...] = ()
     start_tick: int = 0  # sample of row 0
     trigger_row: int = -1  # row at which the trigger fired; -1 where none
-    begun: int = 0  # how often it was configured or started: with another number, other rows
+    begun: int = 0  # number of its rows: another when it is configured, or started again
     replaced: bool = False  # the program that made the rows is loaded no more: see acquire_program
 
 

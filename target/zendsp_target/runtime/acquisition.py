@@ -56,8 +56,9 @@ class Stream:
     capacity: int  # rows held
     offset: int  # of row 0 in the file, bytes
     reader: Path  # for hosts of this user
+    begun: int  # number of its rows: of no other stream, and another one at each further start
+    started: bool = False
     lost: int = 0
-    begun: int = 1  # how often rows of this number were begun, those of streams before it too
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -151,12 +152,19 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
 
 
 def create(
-    path: Path, dictionary: Dictionary, config: AcquireConfig, rate_hz: float, free_bytes: int
+    path: Path,
+    dictionary: Dictionary,
+    config: AcquireConfig,
+    rate_hz: float,
+    free_bytes: int,
+    begun: int,
 ) -> Stream:
     """Make the file of a stream and return the stream.
 
     Parameters
     ----------
+    begun : int
+        Number of its rows.
     free_bytes : int
         Of the shared memory and of the computer's.
 
@@ -196,7 +204,7 @@ def create(
         head.channel[i].variable, head.channel[i].element = variable, element
     return Stream(
         file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes,
-        file.reader(),
+        file.reader(), begun,
     )
 
 

@@ -4,7 +4,9 @@ has ended.
 
 from __future__ import annotations
 
+import itertools
 import logging
+import os
 import threading
 from collections.abc import Callable
 
@@ -38,6 +40,8 @@ class Recorder:
         self._folder, self._current = folder, current
         self._streams: dict[int, tuple[acquisition.Stream, Session]] = {}
         self._files = 0
+        # of the rows of all streams; a target of the same name that is started anew has others
+        self._begun = itertools.count(1 + int.from_bytes(os.urandom(4)))
         self._lock = threading.Lock()
 
     def configure(self, stream: int, config: AcquireConfig) -> AcquireStatus:
@@ -61,10 +65,8 @@ class Recorder:
             path = self._folder.path / f"stream-{stream}-{self._files}"
             fresh = acquisition.create(
                 path, session.dictionary, config, session.settings.rate_hz,
-                self._folder.free_bytes(),
+                self._folder.free_bytes(), next(self._begun),
             )
-            if stream in self._streams:
-                fresh.begun += self._streams[stream][0].begun
             try:
                 acquisition.attach(fresh, session.control, stream, session.alive)
             except BaseException:
@@ -89,7 +91,9 @@ class Recorder:
                 f"stream {stream} belongs to a program that is no longer loaded: configure it again"
             )
         if not (force and acquisition.status(found, True).state == RecorderState.ARMED):
-            found.begun += 1
+            if found.started:
+                found.begun = next(self._begun)
+            found.started = True
             acquisition.request(found, "arm", session.alive)
         if force:
             acquisition.request(found, "force", session.alive)

@@ -211,11 +211,11 @@ class Drives:
         recorder = self._runtime.acquire_status(RECORDER)
         if recorder.state not in (RecorderState.ARMED, RecorderState.RUNNING):
             return
-        began = recorder.start_tick
+        began = recorder.begun
 
         def end() -> None:
             try:
-                if self._runtime.acquire_status(RECORDER).start_tick == began:
+                if self._runtime.acquire_status(RECORDER).begun == began:
                     self._runtime.acquire_stop(RECORDER)
             except ZendspError as error:
                 log.warning("the recorder was not ended: %s", error)

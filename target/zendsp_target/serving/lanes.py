@@ -77,6 +77,8 @@ class Requests:
         if handler is not None:
             return partial(handler, args, by)
         if verb.name == "acquire_read":
+            now = self.service.runtime.acquire_status(RECORDER).begun
+            self.service.claim.check_rows(args.begun, now, by)
             return partial(send_rows, self.service.runtime, RECORDER, args, query)
         if verb.name == "live_open":
             return partial(self.service.open_live, args, by, user)

@@ -55,7 +55,7 @@ class Server:
         self.service = Service(runtime, identity, self.live, managed)
         self._requests = Requests(self.service, self._doors)
         self._hosts = Hosts(session, self.name, self._host_gone)
-        self.service.present = self._hosts.names
+        self.service.claim.present = self._hosts.names
         self.service.guard.sees = self._hosts.__contains__
         self.service.guard.lost = self._host_gone
         self._threads: list[threading.Thread] = []

@@ -21,10 +21,11 @@ from zendsp_protocol import keys, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.kept import About
-from zendsp_protocol.states import ProgramState, RecorderState, VariableKind
+from zendsp_protocol.states import ProgramState, VariableKind
 from zendsp_protocol.values import Value, to_wire
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import RECORDER, AcquireConfig, RuntimeApi
+from zendsp_target.serving.claim import Claim
 from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.drives import Drives
 from zendsp_target.serving.guard import Guard
@@ -65,14 +66,13 @@ class Service:
         self.identity = identity
         self.live = live
         self.variables = VariableVerbs(runtime)
-        self.present: Callable[[], tuple[str, ...]] = tuple
+        self.claim = Claim(lambda: runtime.acquire_status(RECORDER))
         self.drives = Drives(runtime, managed)
         self.guard = Guard(self.drives)
         self.runs = Runs(runtime, self.drives)
         self.once = Once()
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
         self._repeats: list[Repeats] = []
-        self._recorder_owner = ""
         self._recorded = False  # rows of the program that is loaded
         self._replaced: m.Replaced | None = None  # what made the rows, where it is loaded no more
         self._log_start = 0
@@ -115,7 +115,7 @@ class Service:
 
     def _shown(self, status: m.Status) -> m.Status:
         return msgspec.structs.replace(
-            status, hosts=self.present(), drive=self.drives.state(status)
+            status, hosts=self.claim.present(), drive=self.drives.state(status)
         )
 
     def _post_mortem(self) -> m.Status:
@@ -168,7 +168,7 @@ class Service:
         self.runtime.load(args.key)
         self._log_start, self._replaced = before, gone
         self._forget()
-        self._recorder_owner = ""
+        self.claim.owner = ""
         return m.Empty()
 
     def do_unload(self, args: verbs.Nothing, by: str) -> m.Empty:
@@ -208,28 +208,22 @@ class Service:
         config = AcquireConfig(
             tuple(args.channels), args.decimation, args.seconds, args.trigger, args.continuous
         )
-        with self._lock:
-            owner = self._recorder_owner
-            busy = (
-                self.runtime.acquire_status(RECORDER).state
-                in (RecorderState.ARMED, RecorderState.RUNNING)
-                if owner
-                else False
-            )
-            if busy and owner != by and owner in self.present() and not args.take:
-                raise Refused(
-                    f"{owner} is recording; wait, or take the recorder over: acquire(…, take=True)"
-                    " or 'zendsp acquire --take'"
-                )
+        with self.claim.lock:
+            if not args.take:
+                self.claim.check_free(by)
             status = self.runtime.acquire_configure(RECORDER, config)
-            self._recorder_owner = by
+            self.claim.take(by)
             self._recorded, self._replaced = True, None
         return status
 
-    def do_acquire_start(self, args: verbs.AcquireStart, by: str) -> m.Empty:
-        self.runtime.acquire_start(RECORDER, args.force)
-        self.runtime.acquire_keep(self._about())
-        return m.Empty()
+    def do_acquire_start(self, args: verbs.AcquireStart, by: str) -> m.AcquireStatus:
+        with self.claim.lock:
+            self.claim.check_rows(args.begun, self._recorder().begun, by)
+            self.claim.check_free(by)
+            self.runtime.acquire_start(RECORDER, args.force)
+            self.claim.take(by)
+            self.runtime.acquire_keep(self._about())
+            return self._recorder()
 
     def _about(self) -> About:
         """The metadata of a recording that begins, kept for the case that this process is killed.
@@ -250,11 +244,20 @@ class Service:
             },
         )
 
-    def do_acquire_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
-        self.runtime.acquire_stop(RECORDER)
+    def do_acquire_stop(self, args: verbs.OfRows, by: str) -> m.Empty:
+        with self.claim.lock:
+            self.claim.check_rows(args.begun, self._recorder().begun, by)
+            self.runtime.acquire_stop(RECORDER)
         return m.Empty()
 
-    def do_acquire_status(self, args: verbs.Nothing, by: str) -> m.AcquireStatus:
+    def do_acquire_status(self, args: verbs.AcquireStatus, by: str) -> m.AcquireStatus:
+        status = self._recorder()  # once: what is checked is what is answered
+        self.claim.check_rows(args.begun, status.begun, by)
+        if args.loaded:
+            self.claim.loaded(by)
+        return status
+
+    def _recorder(self) -> m.AcquireStatus:
         replaced = self._replaced is not None
         status = self.runtime.acquire_status(RECORDER)
         return msgspec.structs.replace(status, replaced=replaced)
@@ -287,8 +290,10 @@ class Service:
             log=self.runtime.log(program.log_start),
         )
 
-    def do_acquire_held(self, args: verbs.Nothing, by: str) -> m.Held:
-        return self.runtime.acquire_held(RECORDER)
+    def do_acquire_held(self, args: verbs.OfRows, by: str) -> m.Held:
+        held = self.runtime.acquire_held(RECORDER)
+        self.claim.check_rows(args.begun, self._recorder().begun, by)
+        return held
 
     # live
 
@@ -315,6 +320,7 @@ class Service:
         """Release what a lost host held. The program goes on, unless that host commanded or moved
         the machine (see ``runs`` and ``drives``).
         """
+        self.claim.gone(host)
         self.runs.host_gone(host)
         self.live.forget(host)
 
