@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from waiting import until
 
 from zendsp.cli.simulate import command
 from zendsp.errors import (
@@ -44,6 +45,73 @@ def program(body: str) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def pendulum() -> object:
     return load_model(MODELS / "pendulum.toml")
+
+
+SEEN = """
+#include "isr.h"
+static double inertia[8], most[8], counts[8], scale[8], zero[8], period;
+static int32_t joints;
+void UserInit(void) {
+    SIGNAL(inertia, "", ""); SIGNAL(most, "", ""); SIGNAL(counts, "", ""); SIGNAL(scale, "", "");
+    SIGNAL(zero, "", ""); SIGNAL(period, "s", ""); SIGNAL(joints, "", "");
+}
+void UserISR_INT2(void) {
+    for (int32_t j = 0; j < JOINTS; j++) {
+        inertia[j] = JOINT_INERTIA(j), most[j] = TORQUE_MAX(j);
+        IOGP_FU1_WRITE_AOUT_ENGU(j) = 0.0;
+        counts[j] = zendsp->counts_per_unit[j], scale[j] = zendsp->mv_per_torque[j];
+        zero[j] = zendsp->zero_counts[j];
+    }
+    period = SAMPLE_PERIOD, joints = JOINTS;
+}
+"""
+FINGER = """<mujoco model="finger"><compiler angle="radian"/><worldbody>
+  <body><joint name="lift" type="slide" axis="0 0 1" armature="1.5"/>
+  <inertial pos="0.1 0 0" mass="2" diaginertia="0.01 0.02 0.02"/>
+    <body pos="0.3 0 0"><joint name="arm" axis="0 0 1" armature="0.02"/>
+    <inertial pos="0.2 0 0" mass="1" diaginertia="0.01 0.02 0.02"/>
+      <body pos="0.3 0 0"><joint name="hand" axis="0 0 1"/>
+      <inertial pos="0.02 0 0" mass="0.1" diaginertia="1e-5 2e-5 2e-5"/></body></body></body>
+</worldbody><actuator>
+  <motor joint="lift" ctrlrange="-60 60"/><motor joint="arm" ctrlrange="-9 9"/>
+  <motor joint="hand" ctrlrange="-2 2"/>
+</actuator></mujoco>"""
+ARM = """name = "finger"
+sample_time = 0.001
+[mechanism]
+kind = "mjcf"
+file = "finger.xml"
+[actuator]
+gain = 1.0
+limit = [60.0, 9.0, 2.0]
+[sensor]
+position_resolution = [1e-6, 4.79369e-05, 4.79369e-05]
+"""
+
+
+@pytest.mark.parametrize("machine", ["imi_planar", "pendulum", "finger.xml"])
+def test_a_program_sees_the_same_numbers_of_the_machine_on_a_target_and_in_the_simulation(
+    machine: str, tmp_path: Path
+) -> None:
+    """Of the inertia it saw 0, and a program that made its gains of it had others."""
+    model = MODELS / f"{machine}.toml"
+    if machine == "finger.xml":
+        (tmp_path / machine).write_text(FINGER)
+        machine, model = str(tmp_path / machine), tmp_path / "finger.toml"
+        model.write_text(ARM)
+    names = ["inertia", "most", "counts", "scale", "zero", "period", "joints"]
+    with Runtime(machine, clock="fast") as runtime:
+        runtime.load(runtime.compile({"seen.c": SEEN}).key)
+        runtime.acquire_configure(0, AcquireConfig(tuple(names), seconds=0.01))
+        runtime.acquire_start(0)
+        runtime.start(ticks=10)
+        until(lambda: runtime.acquire_status(0).state == "done", "rows")
+        row = runtime.acquire_read(0, 0, 1)[0]
+    here = simulate({"seen.c": SEEN}, model, seconds=0.01, channels=names)
+    # a model file may round what the machine's counts are
+    seen = np.concatenate([np.atleast_1d(here[name][0]) for name in names])
+    assert seen == pytest.approx(row, rel=1e-5)
+    assert (row[: int(row[-1])] > 0.0).all()
 
 
 def test_a_target_and_the_simulation_agree_where_machine_and_model_do() -> None:

@@ -98,11 +98,14 @@ class LoadedProgram:
             full = abs(plant.config.gain[j]) * plant.config.limit[j]
             scale[j] = _FULL_SCALE / full if full > 0 else 1000.0
             most[j] = _FULL_SCALE / scale[j]
-        self.keep: list[Any] = [counts, scale, most]
+        inertia = np.zeros(8)
+        inertia[:n] = plant.inertia()
+        self.keep: list[Any] = [counts, scale, most, inertia]
         doubles = self.native.doubles
         program = str(path).encode()
         self.host = self.native.lib.host_open(
-            program, n, plant.period, doubles(counts), doubles(scale), doubles(most)
+            program, n, plant.period, doubles(counts), doubles(scale), doubles(most),
+            doubles(inertia),
         )
         problem = self.native.ffi.string(self.host.problem).decode(errors="replace")
         if problem:

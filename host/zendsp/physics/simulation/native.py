@@ -79,7 +79,7 @@ typedef struct {
 typedef struct { const double *data; int32_t rows, columns; uint32_t version; } isr_table;
 int host_size(void);
 host *host_open(const char *path, int joints, double period, const double *counts_per_unit, const double *mv_per_torque,
-                const double *torque_max);
+                const double *torque_max, const double *inertia);
 int host_run(host *h, sim *S, int ticks, int decimation, int background, const host_channel *channel, int channels, double *out,
              volatile int32_t *progress);
 """  # noqa: E501

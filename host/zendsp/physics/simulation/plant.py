@@ -22,7 +22,7 @@ from zendsp.physics.simulation.native import (
     SimulatorLibrary,
     simulator_library,
 )
-from zendsp.physics.term_numbers import kernel_model
+from zendsp.physics.term_numbers import added_inertia, kernel_model
 from zendsp.tree import GRAVITY, Body
 from zendsp_protocol.texts import counted
 
@@ -30,6 +30,7 @@ Array = npt.NDArray[np.float64]
 
 KINDS = {"rotary": 0, "linear": 0, "planar2r": 1, "urdf": 2, "mjcf": 2}
 ASIDE = "p3_angle"  # rad, in the mechanism: see ``aside_of``
+TOGETHER = 10.0  # times lighter than alone, of joints together; `most` of mujoco_model.h
 INNER = 4  # integration steps per sample where nothing else is asked for
 
 
@@ -299,6 +300,33 @@ class Plant:
         array = np.ascontiguousarray(array)
         self._keep.append(array)
         return self.native.ints(array) if array.dtype == np.int32 else self.native.doubles(array)
+
+    def inertia(self) -> Array:
+        """What each joint turns while the others stand, shape (joints,), kg m^2 or kg: the diagonal
+        of the mass matrix M with all joints at 0, rotors in it.
+
+        It is less where joints together are so much lighter than alone that a loop tuned by it
+        would not be damped: by what the largest eigenvalue of M^-1 diag(M) exceeds ``TOGETHER``.
+        Machines say the same (`JOINT_INERTIA` of isr.h).
+        """
+        M, n, c = np.zeros((self.joints, self.joints)), self.joints, self.config
+        zero, doubles = np.zeros(n), self.native.doubles
+        if self.model.kind in TREES:
+            gravity = np.array(list(c.gravity))
+            self.native.lib.sim_tree(
+                n, c.tree, doubles(gravity), *(doubles(zero),) * 3, doubles(np.zeros(n)), doubles(M)
+            )
+        elif self.model.kind == "planar2r":
+            across = c.p3 * math.cos(c.p3_angle)
+            M[:] = [[c.p1 + 2.0 * across, c.p2 + across], [c.p2 + across, c.p2]]
+        else:
+            np.fill_diagonal(M, list(c.inertia)[:n])
+        M[np.diag_indices(n)] += [added_inertia(self.model, j + 1) for j in range(n)]
+        alone = np.diag(M).copy()
+        if (alone <= 0.0).any():
+            return np.zeros(n)
+        together = np.linalg.eigvals(np.linalg.solve(M, np.diag(alone))).real.max()
+        return np.asarray(alone * min(1.0, TOGETHER / together))
 
     def measure(self) -> Array:
         """What the sensors say now, in their own coordinates, shape (joints,)."""

@@ -134,7 +134,8 @@ int host_size(void) { return (int)sizeof(host); }
 /* Load a program and let it declare its variables. Returns the host, whose `problem` is empty when
  * all is well. */
 host *host_open(const char *path, int joints, double period, const double *counts_per_unit,
-                const double *mv_per_torque, const double *torque_max) {
+                const double *mv_per_torque, const double *torque_max,
+                const double *inertia) {
     host *h = &the_host;
     memset(h, 0, sizeof *h);
     h->io.period = period;
@@ -146,6 +147,7 @@ host *host_open(const char *path, int joints, double period, const double *count
         h->io.counts_per_unit[i] = counts_per_unit[i];
         h->io.mv_per_torque[i] = mv_per_torque[i];
         h->io.torque_max[i] = torque_max[i];
+        h->io.inertia[i] = inertia[i];
     }
     for (int i = joints; i < 8; i++)
         h->io.counts_per_unit[i] = h->io.mv_per_torque[i] = 1.0;
