@@ -229,6 +229,14 @@ def test_a_declaration_that_a_target_refuses_is_refused_here(
         simulate({"p.c": code + "void UserISR_INT2(void) {}\n"}, pendulum)  # type: ignore[arg-type]
 
 
+def test_one_element_of_an_array_is_set_as_on_a_target() -> None:
+    rec = simulate(
+        {**program("a = k;")}, MODELS / "pendulum.toml", seconds=0.01,
+        parameters={"v[1]": 3.0, "v[2]": 4.0},
+    )
+    assert rec.parameters["v"] == [0.0, 3.0, 4.0]
+
+
 def test_what_is_wrong_is_said_as_a_target_says_it(pendulum: object) -> None:
     ok = program("a = k;")
     with pytest.raises(CompileFailed, match=r"p\.c:6:\d+: error"):
@@ -239,6 +247,10 @@ def test_what_is_wrong_is_said_as_a_target_says_it(pendulum: object) -> None:
         ({"a": 1}, "a signal"),
         ({"whole": 0.5}, "whole number"),
         ({"v": [1, 2]}, "2 numbers given, it has 3"),
+        ({"v[3]": 1.0}, r"v\[3\]: v has 3 elements, the first is 0"),
+        ({"w[0]": 1.0}, r"w\[0\]: no such parameter"),
+        ({"v[1,2]": 1.0}, r"no parameter 'v\[1,2\]': v has 3 rows of 1"),
+        ({"v[1]": [1.0, 2.0]}, r"v\[1\]: 2 numbers given, it has 1"),
     ):
         with pytest.raises(VariableError, match=words):
             simulate(ok, pendulum, parameters=values)  # type: ignore[arg-type]

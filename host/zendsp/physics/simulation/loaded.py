@@ -229,7 +229,12 @@ class LoadedProgram:
     def _write(self, given: Mapping[str, Assignable]) -> None:
         wrong = []
         for name, value in given.items():
-            v = self.variables.get(name)
+            try:
+                base, element = self._split(name)  # J[0], say
+            except AcquisitionError as error:
+                wrong.append(str(error).replace("no channel", "no parameter", 1))
+                continue
+            v = self.variables.get(base)
             if v is None or v.kind == _SIGNAL:
                 known = ", ".join(n for n, w in self.variables.items() if w.kind == _PARAMETER)
                 wrong.append(
@@ -237,37 +242,45 @@ class LoadedProgram:
                     f" program has {known}"
                 )
                 continue
+            if element is not None and not 0 <= element < (0 if v.kind == _TABLE else v.length):
+                wrong.append(f"{name}: {base} has {counted(v.length, 'element')}, the first is 0")
+                continue
             if v.kind == _TABLE:
                 self._load_table(name, np.asarray(value, dtype=np.float64))
                 continue
-            wrong += self._write_one(v, value)
+            wrong += self._write_one(name, v, value, element)
         if wrong:
             raise VariableError("\n".join(wrong))
 
-    def _write_one(self, v: Variable, value: Any) -> list[str]:
+    def _write_one(
+        self, name: str, v: Variable, value: Any, element: int | None
+    ) -> list[str]:
+        """Write a parameter, or one of its elements; return what is wrong with the value."""
+        first, length = (0, v.length) if element is None else (element, 1)
         entry = self.entries[v.name]
         try:
             numbers = np.ravel(np.asarray(value, dtype=np.float64))
         except (TypeError, ValueError):
-            return [f"{v.name}: {value!r} is not a number"]
+            return [f"{name}: {value!r} is not a number"]
         if entry.type != _BOOL and np.asarray(value).dtype.kind == "b":
             return [
-                f"{v.name}: {value!r} is true or false, not a number; write 1 or 0 if that is meant"
+                f"{name}: {value!r} is true or false, not a number; write 1 or 0 if that is meant"
             ]
-        if len(numbers) != v.length:
-            return [f"{v.name}: {len(numbers)} numbers given, it has {v.length}"]
+        if len(numbers) != length:
+            return [f"{name}: {len(numbers)} numbers given, it has {length}"]
         bad = ~((numbers >= entry.minimum) & (numbers <= entry.maximum))
         if bad.any():
+            unit = units_of(v.unit, v.length)[first + int(np.argmax(bad))]
             return [
-                f"{v.name}: {numbers[bad][0]:g} is outside {entry.minimum:g} … {entry.maximum:g}"
-                f" {v.unit}".rstrip()
+                f"{name}: {numbers[bad][0]:g} is outside {entry.minimum:g} … {entry.maximum:g}"
+                f" {unit}".rstrip()
             ]
         if entry.type in (_INT32, _BOOL) and (numbers != np.round(numbers)).any():
-            return [f"{v.name}: {numbers[0]:g} is not a whole number"]
+            return [f"{name}: {numbers[0]:g} is not a whole number"]
         pointer = self._pointer(v.name)
         kind = {_INT32: int, _BOOL: bool}.get(entry.type, float)
         for k, x in enumerate(numbers):
-            pointer[k] = kind(x)
+            pointer[first + k] = kind(x)
         return []
 
     def _channels(
