@@ -378,6 +378,23 @@ def test_numbers_parted_by_a_comma_may_have_been_meant_as_an_array() -> None:
         parse_value("20000,600")
 
 
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (
+            "reference multisine --amplitude 1.2 --amplitude=0.1",
+            "several numbers are written --amplitude 1.2,0.1",
+        ),
+        ("acquire q -s 1 --seconds 2 -o x.mat", "give it once"),
+        ("keys user anna --role tune --role observe", "give it once"),
+    ],
+)
+def test_an_option_with_one_value_that_is_given_twice_is_refused(words: str, meant: str) -> None:
+    """The last one held, silently, for all joints."""
+    said = zendsp_(*words.split()).stderr
+    assert "is given more than once and takes one value: " + meant in said
+
+
 def test_target_refuses_a_wrong_option_in_one_line() -> None:
     done = process_of("target", "--nam", "bench", "--list")
     assert done.returncode == 2

@@ -93,9 +93,11 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
+        from zendsp.cli.given_once import given_once
+
         module, attribute = COMMANDS[cmd_name][0].split(":")
         command: Any = getattr(importlib.import_module(module), attribute)
-        return command if isinstance(command, click.Command) else None
+        return given_once(command) if isinstance(command, click.Command) else None
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; where nobody reads its output on, click itself would end it with 1."""
