@@ -55,6 +55,14 @@ def test_a_script_that_commanded_says_what_its_end_does(
     assert f"the machine was this script's to command: {says}" in said, said
 
 
+@pytest.mark.parametrize("end", ["with t: t.take_command(); t.start()", "COMMANDS; t.close()"])
+def test_a_connection_that_commanded_and_is_closed_on_purpose_says_what_that_does(
+    arm: Target, end: str
+) -> None:
+    said = ended(arm, end.replace("COMMANDS", "t.take_command(); t.start()"))
+    assert said.count("the machine was this script's to command: it stops now") == 1, said
+
+
 @pytest.mark.parametrize(
     "end",
     [

@@ -33,8 +33,14 @@ def ended(link: Link) -> None:
     _started.discard(link)
 
 
-def say(link: Link) -> None:
-    """Say on standard error what becomes of a program that this process started, if it runs."""
+def say(link: Link, on_purpose: bool = False) -> None:
+    """Say on standard error what becomes of a program that this process started, if it runs.
+
+    Parameters
+    ----------
+    on_purpose : bool
+        The link is closed as the script says: that the machine moves on is what it wants.
+    """
     if link not in _started:
         return
     _started.discard(link)
@@ -48,6 +54,8 @@ def say(link: Link) -> None:
     words = "the machine moves on: 'zendsp pause' pauses it, 'zendsp stop' stops it"
     if link.author in (drive.commander, drive.moved_by):
         words = f"the machine was this script's to command: {DOES[drive.host_lost]}"
+    elif on_purpose:
+        return
     print(f"zendsp: {link.target}: {words}", file=sys.stderr)
 
 

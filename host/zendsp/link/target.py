@@ -262,6 +262,8 @@ class Target:
 
     def close(self) -> None:
         """End the connection. A target started by `zendsp.local` ends with it, others go on."""
+        if self._on_close is None and self.alive:
+            left_moving.say(self.link, on_purpose=True)
         left_moving.ended(self.link)
         self.link.close()
         if self._on_close is not None:
