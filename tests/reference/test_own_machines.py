@@ -127,6 +127,9 @@ def test_a_reference_of_another_machine_is_refused_or_told(tmp_path: Path) -> No
     assert not check_fits(moved, "slide", ["m"])
 
     file = str(save_reference(moved, tmp_path / "moved.mat"))
+    shown = CliRunner().invoke(command, ["show", file])
+    words = "--target NAME of one that runs, or --machine FILE"
+    assert isinstance(shown.exception, ReferenceError_) and words in str(shown.exception)
     shown = CliRunner().invoke(command, ["show", file, "--machine", str(slide)])
     assert "q max m" in shown.output and "rad" not in shown.output, shown.output
     with pytest.raises(ReferenceError_, match="is in m, pendulum is in rad"):

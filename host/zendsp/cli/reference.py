@@ -313,5 +313,13 @@ def show(
             f"{file} names no machine: say with --machine or --target whose limits to draw"
         )
     if machine is None and reference.machine:
-        machine = load_machine(reference.machine)
+        try:
+            machine = load_machine(reference.machine)
+        except ReferenceError_ as error:
+            if reference.machine.endswith(".toml"):
+                raise
+            raise ReferenceError_(
+                f"{file} is of the machine {reference.machine!r}, which is none of zendsp's: say"
+                " where its limits are: --target NAME of one that runs, or --machine FILE"
+            ) from error
     _finish(lambda: reference, machine, None, plot, as_json, check=True)
