@@ -42,6 +42,16 @@ def test_durations_of_parquet_are_seconds(tmp_path: Path) -> None:
         assert table.units["time"] == "s"
 
 
+def test_a_complex_column_is_left_out_and_told(tmp_path: Path) -> None:
+    """Nothing said where q was."""
+    scipy.io.savemat(tmp_path / "run.mat", {"t": T, "q": Q + 0j, "u": U})
+    table = read_table(tmp_path / "run.mat")
+    assert set(table.columns) == {"t", "u"}
+    assert table.notes == (
+        "q: left out: it holds complex numbers: save its real part, real(x) in MATLAB",
+    )
+
+
 @pytest.mark.parametrize("packed", [False, True])
 def test_plain_matrices_of_matlab_are_read_as_scipy_reads_them(
     packed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

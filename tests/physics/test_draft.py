@@ -20,7 +20,7 @@ from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.questions import open_questions
 from zendsp.recording import Table, read_table
 from zendsp.recording.roles import role_of
-from zendsp.recording.units import to_si, unit_in_name
+from zendsp.recording.units import in_si, to_si, unit_in_name
 
 
 def test_numbers_come_from_the_recording() -> None:
@@ -219,6 +219,21 @@ def test_degrees_and_milliseconds_are_converted_to_si(tmp_path: Path) -> None:
 
 def asked_of(**columns: np.ndarray) -> str:
     return "\n".join(draft_model(Table(columns, {}, {}, Path("run.csv"))).questions)
+
+
+def test_a_position_of_whole_numbers_is_asked_about_as_counts() -> None:
+    """An encoder of int16 was taken for rad: a count was one."""
+    columns = recording()
+    enc = np.round(columns.pop("q") * 4096 / (2 * np.pi))
+    dac = columns.pop("tau")
+    draft = draft_model(Table({**columns, "enc": enc, "dac": dac}, {}, {}, Path("run.mat")))
+    asked = "\n".join(draft.questions)
+    assert "enc has no unit and whole numbers alone: is it in counts? rad is taken" in asked
+    assert "as 'enc_counts', and begin anew" in asked
+    assert 'command = "dac"' in draft.text
+    named, units, _ = in_si({"enc_counts": enc}, {})
+    again = draft_model(Table({**columns, **named, "dac": dac}, units, {}, Path("run.mat")))
+    assert "# ? how many rad is one of the counts?" in again.text
 
 
 def test_degrees_without_a_unit_are_suspected_by_their_counts() -> None:

@@ -30,7 +30,7 @@ WORDS = {
     },
     Role.COMMAND: {
         "u", "tau", "torque", "torques", "effort", "efforts", "force", "voltage", "volt", "cmd",
-        "command", "control", "moment", "drehmoment", "aout", "vir", "kraft", "spannung",
+        "command", "control", "moment", "drehmoment", "aout", "dac", "vir", "kraft", "spannung",
     },
     Role.REFERENCE: {
         "r", "ref", "reference", "des", "desired", "setpoint", "sp", "goal", "target", "soll",

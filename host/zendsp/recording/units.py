@@ -93,6 +93,7 @@ SUFFIXES = {
     "kN": "kN",
     "mm": "mm",
     "ma": "mA",
+    "counts": "counts",
 }
 TIME_SUFFIXES = {"ms": "ms", "us": "us", "ns": "ns", "sec": "s", "s": "s"}
 TIME_NAMES = {"t", "time", "timestamp", "stamp", "clock", "elapsed"}
@@ -213,8 +214,8 @@ def unit_in_name(name: str) -> str:
     --------
     >>> unit_in_name("theta_deg"), unit_in_name("t_ms"), unit_in_name("v_ms"), unit_in_name("Kp")
     ('deg', 'ms', '', '')
-    >>> unit_in_name("force_N"), unit_in_name("gain_N")
-    ('N', '')
+    >>> unit_in_name("force_N"), unit_in_name("gain_N"), unit_in_name("enc_counts")
+    ('N', '', 'counts')
     """
     bare = name.partition("[")[0]
     parts = _LAST.match(re.sub("_N_m$", "_Nm", bare)) or _CAMEL.match(bare)

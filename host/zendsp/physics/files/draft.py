@@ -344,6 +344,12 @@ def _unit_asked(position: Group, degrees: str, in_name: bool) -> str:
             f"{names}: {not_known(position.unit)}. Write one of them in {head}, such as"
             f" {deg} or {mm}, and begin anew"
         )
+    if (position.values == np.round(position.values)).all():  # of an integer type, say
+        counts = f"'{bare}_counts'" if in_name else f"'{name} [counts]'"
+        return (
+            f"{no_unit} unit and whole numbers alone: is it in counts? rad is taken; write the unit"
+            f" in {head}, as {counts}, and begin anew"
+        )
     return (
         f"{no_unit} unit: is it rad, degrees or m? rad is taken; of another write the unit in"
         f" {head}, such as {deg}, and begin anew"

@@ -27,7 +27,7 @@ from zendsp.extras import need
 from zendsp.recording.formats.clocks import Series, on_one_clock
 from zendsp.recording.formats.hdf5 import ELSEWHERE, leads_out
 from zendsp.recording.formats.mat5 import read_plain
-from zendsp.recording.formats.raw import Raw, check_room, upright
+from zendsp.recording.formats.raw import COMPLEX, Raw, check_room, upright
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
@@ -90,8 +90,11 @@ def read(path: Path) -> Raw:
         _walk(name, value, found)
     if series := _series(found):
         found = on_one_clock(path, series, found.refused, prefix=False)
-    objects = [name for name, why in found.refused.items() if why.startswith(AN_OBJECT)]
-    left_out = tuple(f"{n}: left out: it {found.refused[n]}" for n in objects)
+    left_out = tuple(
+        f"{name}: left out: it {why}"
+        for name, why in found.refused.items()
+        if why.startswith(AN_OBJECT) or why == COMPLEX
+    )
     return replace(found, notes=found.notes + left_out)
 
 

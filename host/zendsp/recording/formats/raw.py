@@ -13,6 +13,7 @@ from zendsp.errors import RecordingError
 from zendsp.recording.names import FloatArray
 
 MEMORY = Path("/proc/meminfo")
+COMPLEX = "holds complex numbers: save its real part, real(x) in MATLAB"
 Share = Callable[[float], None]  # takes the share of a file that is read, up to 1
 SHARE = 0.5  # of the free memory that one file may take: what is made of it takes as much again
 
@@ -46,7 +47,9 @@ class Raw:
 
     def sort(self, name: str, values: Any) -> None:
         """Keep an array as a column or a constant, or note why it is neither."""
-        if values.dtype.kind not in "fiub":
+        if values.dtype.kind == "c":
+            self.refused[name] = COMPLEX
+        elif values.dtype.kind not in "fiub":
             self.refused[name] = "holds text or other things than numbers"
         elif values.size == 0:
             self.refused[name] = "is empty"
