@@ -31,6 +31,7 @@ _WITHIN = {
     1: "while the program was being loaded", 2: "in UserInit", 3: "in UserISR_INT2",
     4: "in UserBackground", 5: "in the machine",
 }
+PLACE_S = 0.2  # for a loop that hangs to note where, and end; it takes milliseconds
 QUIT_S = 2.0  # for the loop to make its machine safe and end
 _MEANT = {
     "SIGFPE": " (an integer division by zero, or a floating-point trap that the code has enabled)",
@@ -311,6 +312,14 @@ class RunnerProcess:
             meant = STACK_USED_UP if self.control.crash_stack else _MEANT.get(name, "")
             return f"{name} {where}{meant}; {last}"
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
+
+    def ask_where(self) -> None:
+        """Have a loop that hangs in the ISR note its place as it would at a crash, and end."""
+        _, lib = layout()
+        if int(self.control.within) == lib.WITHIN_ISR and not self._stands_still():
+            with contextlib.suppress(ProcessLookupError):
+                self._process.send_signal(signal.SIGABRT)
+            self.wait_death(PLACE_S)
 
     def _stands_still(self) -> bool:
         """Whether the system has stopped the process (SIGSTOP)."""

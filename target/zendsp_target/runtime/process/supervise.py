@@ -121,6 +121,7 @@ class Supervisor:
         return min(passed, had - before) if waits else passed
 
     def _end_hung(self) -> str:
+        self._process.ask_where()
         sentence = self._process.death(hung=True)
         self._process.kill()
         return "; ".join(filter(None, (sentence, self._process.make_safe())))
