@@ -182,6 +182,14 @@ def test_a_slow_compile_holds_up_neither_stop_nor_reads(
             thread.join(PATIENCE_S)
 
 
+def test_a_stop_is_told_of_the_connection_that_asked(running: Target) -> None:
+    """It stood in the log as that of the first connection of the process."""
+    with connect("fake") as other:
+        trip = other.stop().trip
+        assert trip is not None and f"by {other.link.author} at" in trip.text, trip
+        assert other.link.author != running.link.author
+
+
 def test_acquire_returns_every_sample_with_its_metadata(
     running: Target, runtime: Runtime, monkeypatch: pytest.MonkeyPatch
 ) -> None:

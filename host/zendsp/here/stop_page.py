@@ -38,10 +38,16 @@ class StopPage:
         self._author = own_name()
         self._words = memoryview(self._map).cast("Q")  # read whole, unlike by `struct`
 
-    def ask(self) -> int:
-        """STOP from the next sample on; returns a number for `taken`. Never waits."""
+    def ask(self, by: str = "") -> int:
+        """STOP from the next sample on; returns a number for `taken`. Never waits.
+
+        Parameters
+        ----------
+        by : str
+            The connection that asks; default: this process.
+        """
         before = self._words[page.TAKEN // 8]
-        self._map[page.BY : page.REASON] = page.signed(self._author)
+        self._map[page.BY : page.REASON] = page.signed(by or self._author)
         self._map[page.REASON : page.SIZE] = bytes(page.SIZE - page.REASON)
         self._map[page.STOP] = 1
         return before

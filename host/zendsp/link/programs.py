@@ -157,7 +157,7 @@ class Programs(Part):
         """
         begin = time.monotonic()
         page = self.stop_page()
-        asked = None if page is None else page.ask()
+        asked = None if page is None else page.ask(self.link.author)
         known = self._taken(page, asked, TAKEN_S)
         if known is not None and not known.unsafe:
             return known
