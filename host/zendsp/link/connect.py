@@ -33,6 +33,7 @@ LISTED = 8  # targets that a message names
 # first; one that ends is told at once
 START_S = 150.0
 END_S = 5.0
+_started: weakref.WeakKeyDictionary[Target, str] = weakref.WeakKeyDictionary()  # by local()
 
 
 def connect(
@@ -232,7 +233,23 @@ def local(
         raise
     # a notebook's cell that is run again forgets the target of its first run
     weakref.finalize(target, _forgotten, os.getpid(), link, process, said).atexit = False
+    if hasattr(sys, "ps1") and sys._getframe(1).f_globals.get("__name__") == "__main__":
+        _say_others(machine)
+    _started[target] = machine
     return target
+
+
+def _say_others(machine: str) -> None:
+    """Say at a prompt which targets of the same machine it started before and still has: what a
+    notebook has shown, it refers to for ever.
+    """
+    for other, its in list(_started.items()):
+        if its == machine and other.alive:
+            print(
+                f"zendsp: {other.name}, which was started here before, still runs; its close() ends"
+                f" it, and 'zendsp stop -t {other.name}' stops its machine",
+                file=sys.stderr,
+            )
 
 
 def _forgotten(
