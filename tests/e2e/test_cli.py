@@ -395,6 +395,14 @@ def test_an_option_with_one_value_that_is_given_twice_is_refused(words: str, mea
     assert "is given more than once and takes one value: " + meant in said
 
 
+@pytest.mark.parametrize("option", ["--pre 0.1", "--level 0.0", "--edge rising"])
+def test_what_belongs_to_a_trigger_is_refused_without_one(option: str) -> None:
+    said = zendsp_("acquire", "q", "-s", "1", "-o", "x.mat", *option.split())
+    name = option.split()[0]
+    assert said.returncode == 2
+    assert f"{name} belongs to a trigger: name what is waited for, --trigger SOURCE" in said.stderr
+
+
 def test_target_refuses_a_wrong_option_in_one_line() -> None:
     done = process_of("target", "--nam", "bench", "--list")
     assert done.returncode == 2

@@ -77,6 +77,8 @@ def command(
     from zendsp.link import Trigger
 
     _check(channels, seconds, last, out, plot)
+    if trigger is None:
+        _without_trigger()
     when = Trigger(source=trigger, level=level, edge=edge, pre_s=pre) if trigger else None
     ended = ""
     with open_target(target, connect, moves=True) as t:
@@ -131,6 +133,16 @@ def command(
         raise click.exceptions.Exit(1)
     if wrong or not drawn:
         raise click.exceptions.Exit(1)
+
+
+def _without_trigger() -> None:
+    """Refuse what says how a trigger works, where there is none."""
+    context = click.get_current_context()
+    for name in ("level", "edge", "pre"):
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            raise click.UsageError(
+                f"--{name} belongs to a trigger: name what is waited for, --trigger SOURCE"
+            )
 
 
 def _kept(target: Target, note: str) -> Recording:

@@ -55,7 +55,8 @@ def command(
     host. A refusal names each condition.
 
     \b
-    Example:  zendsp drive on && zendsp drive home && zendsp drive enable
+    Example:  zendsp load pd.c && zendsp drive on && zendsp drive home && zendsp drive enable
+    && zendsp run
     """
     from zendsp.link.joints import joints_of
     from zendsp.link.outside import outside

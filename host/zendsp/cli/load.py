@@ -21,6 +21,8 @@ def command(
 
     What ran before ends. Exit status 1 where it does not compile; then what was loaded stays.
 
+    Drives that were switched by hand are disabled; "zendsp drive enable" enables them.
+
     Example:  zendsp load pd.c && zendsp set Kp1=400 && zendsp run
     """
     with open_target(target, connect, moves=True) as t:
