@@ -11,9 +11,17 @@ from waiting import until
 
 import zendsp
 from zendsp.errors import AcquisitionError, VariableError
-from zendsp.experiment.sweep import announced, tried_of, values_of
+from zendsp.experiment.sweep import _unit, announced, tried_of, values_of
 from zendsp.experiment.sweep_result import Sweep, SweepRun
 from zendsp.link import Target, local
+from zendsp_protocol.messages import VariableInfo
+
+
+def test_the_unit_of_an_element_is_its_own() -> None:
+    """A sweep wrote `rms e[0] [rad, rad, m]`."""
+    infos = {"e": VariableInfo("e", "double", 3, unit="rad, rad, m")}
+    assert [_unit(infos, f"e[{k}]") for k in range(3)] == ["rad", "rad", "m"]
+    assert _unit(infos, "none") == "" and _unit(infos, "e[7]") == "rad, rad, m"
 
 
 def test_values_are_read_as_they_are_typed() -> None:

@@ -194,6 +194,17 @@ def test_every_parameter_of_every_kind_is_ready_for_a_form() -> None:
                     parameter.parse(default, machine)
 
 
+def test_a_broken_limit_is_told_in_the_unit_of_its_joint() -> None:
+    """It read "position 0.2 rad or m, limit 0.15 rad or m"."""
+    limits = Limits([-1.0, -0.15], [1.0, 0.15], [1.0, 1.0], [np.inf, np.inf], [9.0, 9.0])
+    crane = make_limited("crane", 0.001, [0.0, 0.0], limits, "rad or m", ("rad", "m"))
+    q = np.linspace([0.0, 0.0], [1.2, 0.2], 11)
+    found = [str(one) for one in crane.find_violations(Reference(q, 0.1, unit="rad or m"))]
+    assert "joint 1: position 1.2 rad at" in found[0] and "limit 1 rad" in found[0]
+    assert "joint 2: position 0.2 m at" in found[1] and "limit 0.15 m" in found[1]
+    assert "joint 1: speed 1.2 rad/s" in found[2]
+
+
 def test_every_default_is_within_the_limits_of_a_machine_with_little_room() -> None:
     """Of a joint that slides, the goal lay beyond the end of its travel."""
     limits = Limits(

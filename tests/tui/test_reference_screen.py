@@ -53,6 +53,10 @@ async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Un
             await until(pilot, lambda name=name: screen.plan is not None and screen.plan.reference.kind == name, f"{name} planned")  # type: ignore[misc]  # noqa: E501
             units = [str(w.render()) for w in screen.query("#fields .unit").results(Static)]
             assert units == [*(p.unit.split(" or ")[0] for p in kind.parameters), ""]
+        screen.machine = replace(screen.machine, unit="rad or m", joint_units=("rad", "m"))
+        goal = next(p for p in KINDS["point_to_point"].parameters if p.name == "goal")
+        assert [w for w in screen._line(goal)._pending_children][-1].name == "rad, m"
+        screen.machine = load_machine("imi_planar")
         await pilot.press("escape")
         assert screen.plan is not None
         screen.query_one("#curves", Scope).focus()

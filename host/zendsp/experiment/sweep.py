@@ -17,9 +17,10 @@ from zendsp.link import Target
 from zendsp.link.put_back import kept
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording
+from zendsp.recording.names import split_element
 from zendsp_protocol.messages import VariableInfo
 from zendsp_protocol.states import ProgramState
-from zendsp_protocol.texts import counted
+from zendsp_protocol.texts import counted, units_of
 from zendsp_protocol.values import Assignable
 
 Floats = npt.NDArray[np.float64]
@@ -161,8 +162,12 @@ def sweep(
 
 
 def _unit(infos: Mapping[str, VariableInfo], name: str) -> str:
-    info = infos.get(name) or infos.get(name.partition("[")[0])
-    return info.unit if info is not None else ""
+    """Of a variable, or of one of its elements; of a whole one whose elements differ, of each."""
+    whole, element = split_element(name) or (name, None)
+    info = infos.get(name) or infos.get(whole)
+    if info is None or element is None or not element < info.length:
+        return info.unit if info is not None else ""
+    return units_of(info.unit, info.length)[element]
 
 
 def _runs(

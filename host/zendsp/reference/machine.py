@@ -5,7 +5,7 @@ from package data.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -62,6 +62,8 @@ class Machine:
         Share of the speed, acceleration and torque limits that motions planned for it may use.
     unit : str
         Of its positions: "rad", "m", or "rad or m" where both occur.
+    joint_units : tuple of str
+        Of the position of each joint, where both occur and it is known which has which.
 
     Examples
     --------
@@ -80,6 +82,7 @@ class Machine:
     parameters: Mapping[str, Any]
     headroom: float = 1.0
     unit: str = "rad"
+    joint_units: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Machine {self.name}: {self.title}, {counted(self.joints, 'joint')}>"
@@ -105,13 +108,16 @@ class Machine:
 
     @property
     def units(self) -> list[str]:
-        """Of its joints' positions; of a machine where both occur, each at least once.
+        """Of its joints' positions; of a machine where both occur and nothing says which joint has
+        which, each at least once.
 
         Examples
         --------
         >>> load_machine("imi_planar").units
         ['rad', 'rad']
         """
+        if self.joint_units:
+            return list(self.joint_units)
         own = self.unit.split(" or ")
         return [own[min(joint, len(own) - 1)] for joint in range(self.joints)]
 
@@ -210,7 +216,15 @@ class Machine:
         check_fits(reference, self.name, self.units)
         share = reference.headroom
         found = find_violations(reference, self.limits.scaled(share), self.torque(reference))
-        return [replace(violation, headroom=share) for violation in found]
+        return [replace(one, headroom=share, unit=self._unit_of(one)) for one in found]
+
+    def _unit_of(self, found: Violation) -> str:
+        """Of its joint, where that is known."""
+        if not self.joint_units:
+            return found.unit
+        unit = self.joint_units[found.joint - 1]
+        torque = "N m" if unit == "rad" else "N"
+        return torque if found.quantity == "torque" else unit + PER[found.quantity]
 
     def check(self, reference: Reference) -> None:
         """Raise ReferenceError_ naming limit, value, time and joint unless this machine may play
@@ -225,7 +239,12 @@ class Machine:
 
 
 def make_limited(
-    name: str, sample_time: float, home: npt.ArrayLike, limits: Limits, unit: str = "rad"
+    name: str,
+    sample_time: float,
+    home: npt.ArrayLike,
+    limits: Limits,
+    unit: str = "rad",
+    joint_units: Sequence[str] = (),
 ) -> Machine:
     """A machine of which only the limits are known, as a target tells them; no torque is predicted.
 
@@ -241,6 +260,8 @@ def make_limited(
         +inf where there is none or it is not known.
     unit : str
         Of its positions.
+    joint_units : sequence of str
+        Of the position of each joint, where both rad and m occur.
 
     Returns
     -------
@@ -255,11 +276,15 @@ def make_limited(
     """
     at = np.array(home, dtype=np.float64)
     title = f"{name}, of which only the limits are known"
-    return Machine(name, title, LIMITS_ONLY, len(at), sample_time, at, limits, {}, unit=unit)
+    return Machine(
+        name, title, LIMITS_ONLY, len(at), sample_time, at, limits, {}, unit=unit,
+        joint_units=tuple(joint_units),
+    )
 
 
 _KEYS = ("name", "title", "kind", "joints", "sample_time", "home", "unit", "limits", "parameters")
 _UNITS = ("rad", "m", "rad or m")
+PER = {"position": "", "speed": "/s", "acceleration": "/s^2"}  # of a quantity's unit
 _LIMITS = ("position_min", "position_max", "speed", "acceleration", "torque")
 _WHOLE = ("name", "kind", "joints", "sample_time", "home")  # none does without; and [limits]
 _LINK = ("a", "alpha_deg", "d", "mass", "com", "inertia")

@@ -49,4 +49,5 @@ def machine_told(said: m.MachineInfo, limits: m.Limits | None, period: float) ->
         [joint.home for joint in at],
         Limits(low, high, speed, np.full(len(at), np.inf), torque),
         "rad or m" if len(units) > 1 else units.pop(),
+        [joint.unit for joint in at] if len(units) > 1 else (),
     )

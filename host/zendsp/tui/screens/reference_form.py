@@ -160,7 +160,11 @@ class ReferenceForm(LabScreen):
             widget = Input(words(value), compact=True, name=p.name)
         bounds = f"  ({p.describe_bounds()})" if p.describe_bounds() and not p.choices else ""
         widget.tooltip = f"{p.description}{bounds}".replace("[", "(").replace("]", ")")
-        unit = Label(p.unit, classes="unit", name=p.unit, markup=False)
+        said = p.unit
+        if p.type == "joints" and said.startswith("rad") and self.machine.unit != "rad":
+            each = (unit + said.removeprefix("rad") for unit in self.machine.units)
+            said = ", ".join(each if self.machine.joint_units else dict.fromkeys(each))
+        unit = Label(said, classes="unit", name=said, markup=False)
         name = Label(p.name, classes="label", markup=False)
         return Horizontal(name, widget, unit, classes="line parameter")
 
