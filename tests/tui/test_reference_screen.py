@@ -55,7 +55,7 @@ async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Un
             assert units == [*(p.unit.split(" or ")[0] for p in kind.parameters), ""]
         screen.machine = replace(screen.machine, unit="rad or m", joint_units=("rad", "m"))
         goal = next(p for p in KINDS["point_to_point"].parameters if p.name == "goal")
-        assert [w for w in screen._line(goal)._pending_children][-1].name == "rad, m"
+        assert list(screen._line(goal)._pending_children)[-1].name == "rad, m"
         screen.machine = load_machine("imi_planar")
         await pilot.press("escape")
         assert screen.plan is not None
