@@ -77,8 +77,6 @@ def command(
     from zendsp.link import Trigger
 
     _check(channels, seconds, last, out, plot)
-    if trigger is None:
-        _without_trigger()
     when = Trigger(source=trigger, level=level, edge=edge, pre_s=pre) if trigger else None
     ended = ""
     with open_target(target, connect, moves=True) as t:
@@ -176,6 +174,8 @@ def _check(
     from zendsp.recording.files import check_suffix
 
     check_suffix(out)
+    if click.get_current_context().params["trigger"] is None:
+        _without_trigger()
     if last and (channels or seconds is not None):
         raise click.UsageError("--last saves what is recorded already: without CHANNELS, --seconds")
     if not last and (seconds is None or not channels):
