@@ -147,7 +147,7 @@ def test_a_position_far_off_in_recordings_too_short_to_say_by_what_torque_is_not
 def _sensor(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
     """The position is off by so many times what the sensor errs."""
     monkeypatch.setattr(nothing_named, "rms", lambda *_: times)
-    monkeypatch.setattr(nothing_named, "noise_floor", lambda *_: 1.0)
+    monkeypatch.setattr(nothing_named, "least_error", lambda *_: 1.0)
 
 
 def _lacks(monkeypatch: pytest.MonkeyPatch, size: Size) -> None:

@@ -27,7 +27,7 @@ from zendsp.diagnosis.measure.structure import MEMORY, Structure
 from zendsp.diagnosis.measure.where import Missing, energy, located
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.effects import get_effect, mechanism_of
-from zendsp.physics.model import Quantity, Term
+from zendsp.physics.model import Model, Quantity, Term
 
 
 def term(effect: str, **numbers: float) -> Term:
@@ -268,6 +268,30 @@ def test_an_inertia_that_unrecorded_commands_between_rows_can_explain_is_no_find
     search: Any = SimpleNamespace(joint=1)
     whole: Any = SimpleNamespace(improved=improved)
     claims = absorbed.shifted(given, search, whole, (), data)
+    assert [f.effect for _, _, f in claims] == (["inertia"] if found else [])
+
+
+@pytest.mark.parametrize(("unseen", "found"), [(0.0, True), (0.8, False)])
+def test_nor_is_a_rotor_that_they_can_explain(
+    unseen: float, found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two rotors of a complete arm were "105 % and 51 % larger", where a loop of 500 Hz was
+    recorded at 100 Hz behind 12 bits.
+    """
+
+    def rotor(amount: float) -> Model:
+        return model_of(VISCOUS, {"kind": "inertia", "joint": 1, "amount": amount})
+
+    given, improved = rotor(0.004), rotor(0.010)
+    columns = reality.simulate(reality.Machine(), reality.multisine(4.0, 500.0, 1), 500.0)
+    data = data_of(columns, improved)
+    (record,) = data.records[0]
+    needed = float(np.std(0.020 * record.motion.states[2]))
+    data = replace(data, records=((replace(record, between=unseen * needed),),))
+    monkeypatch.setattr(absorbed, "_size", lambda *_: 0.1)
+    alone: Any = SimpleNamespace(joint=1, alone=SimpleNamespace(model=improved))
+    whole: Any = SimpleNamespace(improved=improved)
+    claims = absorbed._rotor(given, alone, whole, data)
     assert [f.effect for _, _, f in claims] == (["inertia"] if found else [])
 
 

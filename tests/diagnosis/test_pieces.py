@@ -173,22 +173,31 @@ def test_a_wave_faster_than_the_observer_has_its_whole_torque() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effect", "lacked", "falls", "lacks"),
+    ("effect", "lacked", "falls", "unseen", "lacks"),
     [
-        ("ripple", 0.05, False, False),
-        ("ripple", 0.06, False, True),
-        ("ripple", 0.0, True, True),
-        ("elasticity", 0.0, True, False),  # so looks a command that other rows would show
+        ("ripple", 0.05, False, 0.0, False),
+        ("ripple", 0.06, False, 0.2, True),
+        ("ripple", 0.0, True, 0.0, True),
+        ("elasticity", 0.0, True, 0.0, False),  # so looks a command that other rows would show
+        ("elasticity", 0.06, True, 0.1, True),
+        ("elasticity", 0.06, True, 0.12, False),
+        ("column_shift", 0.06, True, 0.12, False),
     ],
 )
 def test_what_is_likelier_and_is_no_torque_that_lacked_is_not_claimed(
     effect: str,
     lacked: float,
     falls: bool,
+    unseen: float,
     lacks: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Of complete arms at 100 Hz, whose loops ran at 500 Hz behind coarse encoders, a spring, a
+    filter and a shift of 1.3 to 10 % of the torque were named, all of 95 % and more; commands that
+    nobody saw make up to 14 %.
+    """
     monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.0, 0.0, lacked))
+    monkeypatch.setattr(pieces, "unseen_commands", lambda *_: unseen)
     monkeypatch.setattr(pieces, "falls", lambda *_: falls)
     terms, none = [Term(effect, 1, {})], SimpleNamespace()
     assert pieces._lacks(PARTS.test, none, none, terms, 0.11) is lacks  # type: ignore[arg-type]

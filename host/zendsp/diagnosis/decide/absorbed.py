@@ -11,6 +11,8 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.findings import Estimate, Finding
@@ -244,6 +246,9 @@ def _rotor(
     if not before.free or before.value <= 0.0:
         return []
     amount = after.value - before.value
+    part = _by_unseen(whole.improved, joint, test)
+    if part and 0.0 < amount < part * _inertia(whole.improved, joint, test):
+        return []
     z = amount / math.hypot(max(TOLERANCE * before.value, before.std), after.std)
     fixed = stated.held()
     terms = tuple(fixed if t is fitted else t for t in decision.alone.model.terms)
@@ -288,6 +293,11 @@ def _by_unseen(improved: Model, joint: int, test: Data) -> float:
         unseen += record.between**2 * record.n
         needed += float(torque @ torque)
     return unseen / max(needed, 1e-300)
+
+
+def _inertia(model: Model, joint: int, test: Data) -> float:
+    """The mean inertia of a joint with all that it moves, kg m² or kg."""
+    return float(np.mean([np.mean(effective_inertia(r[joint - 1], model)) for r in test.records]))
 
 
 def _held(given: Model, decision: Decision, *keys: str) -> Model:

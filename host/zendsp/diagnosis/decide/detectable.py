@@ -24,7 +24,7 @@ from zendsp.diagnosis.data.checks import never_reverses
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.confidence import least_stated
-from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.contract import Verdict, is_stepped
 from zendsp.diagnosis.decide.findings import CLOCK
 from zendsp.diagnosis.decide.implants import (
     AMPLE,
@@ -51,6 +51,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     band_of,
     kept,
     mean_square,
+    unseen_commands,
 )
 from zendsp.diagnosis.measure.significance import essence_of
 from zendsp.diagnosis.search.screen import FIRST_ORDER, Screen, phase_of
@@ -139,6 +140,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
     laws = {m: kept_laws(given, final.model, joint, m) for m in kinds}
     error = {m: LAW_ERROR * torque_of(test, laws[m], final.model, joint) for m in kinds}
     scale = math.sqrt(mean_square(test, joint))
+    unknown = unseen_commands(test, final.model, joint)
     have = {t.effect for t in final.model.at(joint)}
     out = []
     for effect in sized:
@@ -148,7 +150,8 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         if any(key in given.mechanism for key in (name, *effect.same_as)):
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
-        beyond = max(after, beyond, least_stated(name, decision), finest(name))
+        unseen = unknown if is_stepped(name) else 0.0
+        beyond = max(after, beyond, unseen, least_stated(name, decision), finest(name))
         stands = is_supported(effect, have)  # or no search tries it
         trace = traces[effect.aliases]
         term = _smallest(trace, name, implant.energy, beyond * scale) if stands else None

@@ -33,7 +33,7 @@ from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy, surely_beyond
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
-from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
+from zendsp.diagnosis.measure.windows import least_error, rms, window_error
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data
@@ -157,9 +157,9 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
 
 
 def _off(data: Data, out: Decision) -> float:
-    """The position error of the calibrated model as a multiple of the sensor's."""
+    """The position error of the calibrated model as a multiple of a perfect one's."""
     error = rms(window_error(data, out.base.model, out.joint))
-    return error / max(noise_floor(data, out.joint), 1e-300)
+    return error / max(least_error(data, out.base.model, out.joint), 1e-300)
 
 
 def throws(data: Data, out: Decision, lacks: float) -> bool:
@@ -186,7 +186,7 @@ def _lost(
     """The entry of an effect that is not claimed: its gain in deviance and the reason."""
     seen = next((p for p in pieces if effect in p.effects), None)
     reason = Reason.OTHER
-    if seen is not None and seen.log_e > 0 and seen.evidence.z > CLAIMED:
+    if seen is not None and seen.lacks and seen.log_e > 0 and seen.evidence.z > CLAIMED:
         size = f"{percent(seen.size)} % of the torque"
         if seen.size < finest(effect):
             reason = Reason.TOO_SMALL

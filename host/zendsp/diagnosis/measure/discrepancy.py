@@ -185,14 +185,10 @@ def noise(record: JointRecord, model: Model, band: float, *, even: bool = False)
 
 def _noise(record: JointRecord, model: Model, band: float, even: bool) -> float:
     """The result of ``noise``, computed."""
-    rng, shape = np.random.default_rng(0), (NOISE_DRAWS, record.n)
-    draws = rng.standard_normal(shape)
+    draws = np.random.default_rng(0).standard_normal((NOISE_DRAWS, record.n))
     draws *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
     seen = as_seen(record, model, band, draws, on_sensor=True)
-    if record.between > 0.0:
-        draws = rng.standard_normal(shape)
-        seen = np.stack([seen, as_seen(record, model, band, record.between * draws)])
-    own = _energy(record, seen, band, even) * (2.0 if record.between > 0.0 else 1.0)
+    own = _energy(record, seen, band, even) + _of_commands(record, model, band, even)
     if record.beside is None:
         return own
     # without it the wrist of an arm, whose elbow had an encoder eight times coarser, lacked 1.4 %
@@ -200,6 +196,26 @@ def _noise(record: JointRecord, model: Model, band: float, even: bool) -> float:
     if others is None:
         others = as_seen(record, model, band, record.beside[np.newaxis])
     return own + _energy(record, others, band, even)
+
+
+def _of_commands(record: JointRecord, model: Model, band: float, even: bool) -> float:
+    """The mean square of the torque that an observer sees of unknown commands between rows, (N m)²
+    or N².
+    """
+    if not record.between > 0.0:
+        return 0.0
+    draws = record.between * np.random.default_rng(1).standard_normal((NOISE_DRAWS, record.n))
+    return _energy(record, as_seen(record, model, band, draws), band, even)
+
+
+def unseen_commands(data: Data, model: Model, joint: int) -> float:
+    """The RMS torque between two models that commands between rows, which nobody saw, may make
+    alone, as the fastest observer sees it, as a part of the RMS torque; 0 where all are known. Such
+    a command and the same one at another time differ by twice its energy.
+    """
+    records = [rec[joint - 1] for rec in data.records]
+    total = 2.0 * sum(_of_commands(r, model, BANDS[0], even=False) * r.n for r in records)
+    return math.sqrt(total / max(sum(r.n for r in records), 1) / mean_square(data, joint))
 
 
 def _felt_behind(record: JointRecord, model: Model, band: float, torque: Array) -> Array | None:

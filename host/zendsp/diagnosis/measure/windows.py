@@ -8,11 +8,13 @@ floor.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.measure.discrepancy import resisting
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import run
@@ -50,11 +52,7 @@ def window_error(data: Data, model: Model, joint: int) -> Array:
         count = record.n // size
         if not count:
             continue
-        blocks = r[: count * size].reshape(count, size)
-        x = np.linspace(-1.0, 1.0, size)
-        level = blocks.mean(axis=1, keepdims=True)
-        slope = blocks @ x / (x @ x)
-        parts.append((blocks - level - slope[:, None] * x).ravel())
+        parts.append(_bent(r[: count * size].reshape(count, size)).ravel())
     return np.concatenate(parts) if parts else np.zeros(1)
 
 
@@ -113,13 +111,45 @@ def noise_floor(data: Data, *joints: int) -> float:
     return float(np.sqrt(squares / max(count, 1)))
 
 
+def least_error(data: Data, model: Model, joint: int) -> float:
+    """The RMS error in windows of a perfect model, rad or m: of the sensor, and of commands between
+    rows that nobody saw, which drive the joint away from any model.
+    """
+    squares, count = 0.0, 0
+    for rec in data.records:
+        squares += _by_commands(rec[joint - 1], model)
+        count += rec[joint - 1].n
+    return math.hypot(noise_floor(data, joint), math.sqrt(squares / max(count, 1)))
+
+
+def _by_commands(record: JointRecord, model: Model) -> float:
+    """The sum of squares of the position error within windows by unknown commands."""
+    size = rows_of(record.sample_time)
+    count = record.n // size
+    if not (record.between > 0.0 and count):
+        return 0.0
+    of = resisting(record, model)
+    shape = count, size
+    inertia, damping = (x[: count * size].reshape(shape) for x in (of.inertia, of.damping))
+    pushed = record.between * np.random.default_rng(0).standard_normal(shape) / inertia
+    speed, error = np.zeros(count), np.zeros(shape)
+    keeps = np.exp(-record.sample_time * np.maximum(damping / inertia, 0.0))
+    for k in range(1, size):
+        error[:, k] = error[:, k - 1] + record.sample_time * speed
+        speed = keeps[:, k] * (speed + record.sample_time * pushed[:, k])
+    return record.n * rms(_bent(error).ravel()) ** 2
+
+
+def _bent(blocks: Array) -> Array:
+    """What straight lines leave of windows, (count, size)."""
+    x = np.linspace(-1.0, 1.0, blocks.shape[1])
+    blocks = blocks - blocks.mean(axis=1, keepdims=True)
+    return blocks - (blocks @ x / (x @ x))[:, None] * x
+
+
 def _quantisation(y: Array, smooth: Array, size: int) -> float:
     """RMS of measured minus smoothed position within windows, straight lines removed."""
     count = len(y) // size
     if not count:
         return float(np.std(y - smooth))
-    blocks = (y - smooth)[: count * size].reshape(count, size)
-    x = np.linspace(-1.0, 1.0, size)
-    blocks = blocks - blocks.mean(axis=1, keepdims=True)
-    blocks = blocks - (blocks @ x / (x @ x))[:, None] * x
-    return rms(blocks.ravel())
+    return rms(_bent((y - smooth)[: count * size].reshape(count, size)).ravel())
