@@ -211,7 +211,7 @@ def _beside_doubted(
     whole = len(firm) == len(likely)
     firmly = alone if whole else _without_others(firm, decision, given, jobs)
     left = discrepancy(parts.test, firmly.model, decision.joint)
-    harder = replace(decision, bare=max(left, decision.bare, key=lambda size: size.low))
+    harder = replace(decision, bare=max(left, decision.bare, key=lambda size: size.value))
     right = min(doubted)
     return {id(c): right * sure[id(c)] + (1.0 - right) * confidence(c, harder) for c in laws}
 
