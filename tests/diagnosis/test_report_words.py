@@ -125,10 +125,14 @@ def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> Non
     ]
     mass = Rejected("voltage_limit", 5, "on the recordings held out", 1196.0)
     assert contradicted([*tried, mass]) == (("backlash", 1), ("voltage_limit", 5))
+    # a transmission's error, which held-out motion showed too little of, was called one of the
+    # sensor, with less of the log-likelihood
+    likelier = Rejected("transmission_error", 1, "0.023 %", 7000.0, Reason.TOO_SMALL)
+    assert contradicted([*tried, likelier]) == (("transmission_error", 1),)
     assert (doubted := contradicted(tried)) == (("backlash", 1),)
     assert verdict_sentence("unexplained", [], doubted=doubted) == (
         "Cannot tell: the recordings of the fit are by far likelier with backlash at joint 1, and"
-        " the untouched ones do not show it. Hold out motion as fast as theirs."
+        " the untouched ones show too little of it. Hold out motion like theirs."
     )
 
 

@@ -274,15 +274,16 @@ def _likeliest(rejected: Iterable[Rejected]) -> list[Rejected]:
 
 def contradicted(rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
     """Effects and joints that the recordings of the fit show to be missing and the untouched ones
-    do not. The untouched motion may not show them.
+    do not. The untouched motion may not show them, or too little of the likeliest. One that is too
+    small there does not make a joint doubtful alone.
     """
-    far = (
+    far = [
         r
         for r in rejected
         if r.score > (FAR_LATER if is_stepped(r.effect) else FAR_LIKELIER)
-        and r.reason is not Reason.TOO_SMALL
-    )
-    return tuple((r.effect, r.joint) for r in _likeliest(far))
+    ]
+    joints = {r.joint for r in far if r.reason is not Reason.TOO_SMALL}
+    return tuple((r.effect, r.joint) for r in _likeliest(far) if r.joint in joints)
 
 
 def is_stepped(effect: str) -> bool:

@@ -92,7 +92,7 @@ def verdict_sentence(
     if doubted:
         return (
             f"Cannot tell: the recordings of the fit are by far likelier with {_at(doubted)}, and"
-            " the untouched ones do not show it. Hold out motion as fast as theirs."
+            " the untouched ones show too little of it. Hold out motion like theirs."
         )
     if loads and verdict == Verdict.UNEXPLAINED:
         return (

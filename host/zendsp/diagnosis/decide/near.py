@@ -94,7 +94,7 @@ def only_in_the_fit(joint: int, effect: str) -> str:
     """A sentence, without full stop, on effects that untouched recordings do not show."""
     return (
         f"Joint {joint}: only the recordings of the fit show {effect}. Look in them for what is"
-        " wrong with them alone, if motion as fast as theirs does not show it either"
+        " wrong with them alone, if other motion like theirs does not show it either"
     )
 
 
