@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,17 @@ from made_claims import piece
 from small_models import VISCOUS, model_of, signals_of
 
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.decide import nothing_named
-from zendsp.diagnosis.decide.contract import Reason
+from zendsp.diagnosis.decide import notes, nothing_named
+from zendsp.diagnosis.decide.contract import Reason, Verdict, times_off
+from zendsp.diagnosis.decide.result import Diagnosis, FitTable
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy, unseen_commands
-from zendsp.diagnosis.measure.windows import least_error, noise_floor, rms, window_error
+from zendsp.diagnosis.measure.windows import (
+    least_error,
+    mostly_below,
+    noise_floor,
+    rms,
+    window_error,
+)
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
 
@@ -50,6 +58,45 @@ def test_a_perfect_model_errs_by_the_commands_that_nobody_saw() -> None:
     error = rms(window_error(told, model, 1))
     assert error > 100.0 * noise_floor(told, 1)
     assert least_error(told, model, 1) == pytest.approx(error, rel=0.1)
+
+
+def test_a_complete_model_that_errs_more_than_its_sensor_says_how_much_and_how_fast() -> None:
+    """Of a torque of 1.5 % above the observers' 10 Hz they showed 0.1 %, and the model was
+    "complete" with five times the error of its encoder.
+    """
+    known, model = driven(0.0)
+    (note,) = notes.off_sensor(known, model, Verdict.COMPLETE)
+    assert "times as much as its sensor, nine tenths of it below" in note
+    assert "is only that below 10 Hz" in note
+    assert not notes.off_sensor(known, model, Verdict.UNEXPLAINED)
+    assert not notes.off_sensor(driven(UNSEEN)[0], model, Verdict.COMPLETE)
+    assert times_off(1.6e-5, 3.2e-6) == pytest.approx(5.0)
+    assert times_off(6.3e-6, 3.2e-6) == 0.0 == times_off(None, None)
+
+
+@pytest.mark.parametrize(
+    ("floor", "begins"), [(3.2e-6, "Complete below 10 Hz"), (1e-5, "Complete: ")]
+)
+def test_a_headline_says_that_a_complete_model_errs_more_than_its_sensor(
+    floor: float, begins: str
+) -> None:
+    table = FitTable(1.6e-5, 1.6e-5, 1.6e-5)
+    complete: Any = SimpleNamespace(
+        stopped=False, findings=(), discrepancy=(), test=table, heldout=table, nameless=(),
+        verdict=Verdict.COMPLETE, rejected=(), doubted=(), loads=(), zeros=(),
+        errors=(SimpleNamespace(test=table, noise_floor=floor),),
+    )  # fmt: skip
+    said = Diagnosis.headline.fget(complete)  # type: ignore[attr-defined]
+    assert said.startswith(begins)
+    assert ("errs 5 times as much as its sensor" in said) is (floor == 3.2e-6)
+
+
+def test_the_frequency_of_a_position_error_is_that_of_the_torque_that_makes_it() -> None:
+    data, model = driven(0.0)
+    (record,) = data.records[0]
+    wave = 2.0 * np.sin(2.0 * np.pi * 24.0 * STEP * np.arange(record.n))
+    pushed = replace(record, command=record.command + wave, _once={}, runs={})
+    assert mostly_below(replace(data, records=((pushed,),)), model, 1) == pytest.approx(24.0, abs=4)
 
 
 @pytest.mark.parametrize("lacks", [True, False])

@@ -31,7 +31,7 @@ from zendsp.diagnosis.decide.detectable_push import detectable_pushes
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.naming import name_findings
-from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of, repeated
+from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of, off_sensor, repeated
 from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.outcome import (
     doubted,
@@ -243,6 +243,7 @@ def _with_zeros_given(
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]
     notes += [n for e in (own, *others) for n in apart(e, verdict)]
+    notes += off_sensor(parts.test, improved, verdict)
     return Diagnosis(
         verdict=verdict,
         findings=findings, refinements=refinements,

@@ -83,7 +83,8 @@ def least_stated(name: str, decision: Decision) -> float:
 def _left(decision: Decision) -> float:
     """The torque that the claims leave, and the part that depends on the state, beyond the known
     discrepancy of the machine: the best estimate, since the lower end of an interval is the smaller
-    the less is known. (A wrong law was 0.71 sure where 0.3 to 0.7 % was left, and 0.97 where 0 to 2.2 %.)
+    the less is known. (A wrong law was 0.71 sure where 0.3 to 0.7 % was left, and 0.97 where 0 to
+    2.2 % was.)
     """
     known = math.hypot(decision.known.all, decision.known.of_state)
     return beyond(math.hypot(decision.bare.value, decision.state.size), known)

@@ -259,9 +259,18 @@ error, floor : float
         RMS position error on untouched recordings, and that of the sensor alone, rad or m; None
         where not known.
     """
-    if error is None or floor is None or not error > BEYOND * floor:
+    if not times_off(error, floor):
         return ()
     return tuple((joint, share) for joint, share in left if share and share > LEAST_NAMELESS)
+
+
+def times_off(error: float | None, floor: float | None) -> float:
+    """The position error of a complete model over the least one, where it is well above that; else
+    0.
+    """
+    if error is None or floor is None or not error > BEYOND * floor:
+        return 0.0
+    return error / max(floor, 1e-300)
 
 
 def _likeliest(rejected: Iterable[Rejected]) -> list[Rejected]:

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 from zendsp.diagnosis.decide.contract import WORDS, Verdict, listed, two_digits
 from zendsp.diagnosis.decide.thresholds import STATED_BESIDE
+from zendsp.diagnosis.measure.discrepancy import BANDS
 
 SMALLEST_SHARE = 1e-4  # of a torque: less cannot be told from zero
 LARGEST_SHARE = 9.99
+SEEN = BANDS[0] / 6.283  # Hz: the fastest torque that an observer sees in full
 
 TILTED = "how the base stands"
 Said = tuple[str, Sequence[str], int, float]  # word, effects, joint and confidence of a finding
@@ -119,6 +121,22 @@ def verdict_sentence(
             " claimed."
         )
     return _missing(found)
+
+
+def complete_below(times: float) -> str:
+    """The verdict where a model leaves hardly any torque that observers can see, and the position
+    errs so many times what a perfect model would.
+
+    Examples
+    --------
+    >>> complete_below(5.04)[:60]
+    'Complete below 10 Hz: nothing is missing that these recordin'
+    """
+    return (
+        f"Complete below {SEEN:.0f} Hz: nothing is missing that these recordings could show. But"
+        f" the position errs {two_digits(times)} times as much as its sensor: by numbers slightly"
+        " off, or by something faster (notes)."
+    )
 
 
 def _missing(found: Sequence[Said]) -> str:

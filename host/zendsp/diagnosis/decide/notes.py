@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import BEYOND, Verdict, listed, spans, two_digits
+from zendsp.diagnosis.decide.contract import BEYOND, Verdict, listed, spans, times_off, two_digits
 from zendsp.diagnosis.decide.findings import percent, torque_word
+from zendsp.diagnosis.decide.headline import SEEN
 from zendsp.diagnosis.decide.near import likeness, only_in_the_fit
 from zendsp.diagnosis.decide.pushes import predicts
 from zendsp.diagnosis.decide.result import Errors
@@ -18,6 +20,7 @@ from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE, PREDICTE
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.discrepancy import BANDS, as_seen
 from zendsp.diagnosis.measure.where import units
+from zendsp.diagnosis.measure.windows import least_error, model_error, mostly_below, seconds_of
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import TREES, Model, Term, per_joint
 
@@ -214,6 +217,26 @@ def bent(errors: Errors) -> list[str]:
         " in the recordings of the fit, a push perhaps, bends its numbers. Keep the given ones,"
         " or fit other recordings"
     ]
+
+
+def off_sensor(test: Data, model: Model, verdict: Verdict) -> list[str]:
+    """The notes where a complete model errs well above its sensor: how much, and how fast that is.
+    The torque that is said to be left is slow.
+    """
+    out = []
+    for j in range(1, test.joints + 1) if verdict == Verdict.COMPLETE else ():
+        error = model_error(test, model, (j,))
+        times = times_off(error, least_error(test, model, j))
+        if times:
+            below = mostly_below(test, model, j)
+            out.append(
+                f"joint {j}: in untouched recordings the position errs by {error:.2g}"
+                f" {model.position_unit(j)} within {seconds_of(test):.2g} s, {two_digits(times)}"
+                " times as much as its sensor"
+                + (f", nine tenths of it below {below:.0f} Hz" if math.isfinite(below) else "")
+                + f". The torque that is said to be unexplained is only that below {SEEN:.0f} Hz"
+            )
+    return out
 
 
 def apart(errors: Errors, verdict: Verdict) -> list[str]:

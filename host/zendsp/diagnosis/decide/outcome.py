@@ -10,7 +10,7 @@ from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.result import Errors, FitTable, Left
 from zendsp.diagnosis.measure.where import Missing, Region, Times, located
-from zendsp.diagnosis.measure.windows import model_error, noise_floor, seconds_of
+from zendsp.diagnosis.measure.windows import least_error, model_error, seconds_of
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
 
@@ -95,7 +95,7 @@ def errors_of(parts: Parts, models: tuple[Model, Model, Model]) -> list[Errors]:
     return [
         Errors(
             unit, joints, table(parts.fit, joints), table(parts.held, joints),
-            table(parts.test, joints), noise_floor(parts.test, *joints),
+            table(parts.test, joints), least_error(parts.test, models[1], *joints),
             seconds_of(parts.test),
         )
         for unit, joints in units.items()

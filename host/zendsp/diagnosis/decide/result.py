@@ -21,10 +21,11 @@ from zendsp.diagnosis.decide.contract import (
     dark,
     nameless,
     nearest,
+    times_off,
     two_digits,
 )
 from zendsp.diagnosis.decide.findings import Finding, number
-from zendsp.diagnosis.decide.headline import verdict_sentence
+from zendsp.diagnosis.decide.headline import complete_below, verdict_sentence
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.measure.windows import WINDOW
 from zendsp.diagnosis.search.hypothesis import JointSearch
@@ -266,6 +267,9 @@ class Diagnosis:
         table, left = self.test or self.heldout, self.nameless
         near = nearest(self.verdict, self.rejected)
         text = verdict_sentence(self.verdict, found, unseen, left, near, self.doubted, self.loads)
+        errs = max(times_off(e.test.improved, e.noise_floor) for e in self.errors)
+        if self.verdict == Verdict.COMPLETE and errs and not (unseen or left or self.doubted):
+            text = complete_below(errs)
         off = table.given > OFF * table.calibrated
         if self.verdict == Verdict.COMPLETE and not unseen and off:
             times = two_digits(table.given / table.calibrated)

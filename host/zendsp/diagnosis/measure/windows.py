@@ -111,15 +111,30 @@ def noise_floor(data: Data, *joints: int) -> float:
     return float(np.sqrt(squares / max(count, 1)))
 
 
-def least_error(data: Data, model: Model, joint: int) -> float:
+def least_error(data: Data, model: Model, *joints: int) -> float:
     """The RMS error in windows of a perfect model, rad or m: of the sensor, and of commands between
-    rows that nobody saw, which drive the joint away from any model.
+    rows that nobody saw, which drive the joint away from any model; over some joints, or all.
     """
     squares, count = 0.0, 0
     for rec in data.records:
-        squares += _by_commands(rec[joint - 1], model)
-        count += rec[joint - 1].n
-    return math.hypot(noise_floor(data, joint), math.sqrt(squares / max(count, 1)))
+        for record in [rec[j - 1] for j in joints] or rec:
+            squares += _by_commands(record, model)
+            count += record.n
+    return math.hypot(noise_floor(data, *joints), math.sqrt(squares / max(count, 1)))
+
+
+def mostly_below(data: Data, model: Model, joint: int) -> float:
+    """The frequency, Hz, below which nine tenths of the energy of the position error within windows
+    lie.
+    """
+    step, errors = data.records[0][joint - 1].sample_time, window_error(data, model, joint)
+    size = rows_of(step)
+    if len(errors) % size or any(rec[joint - 1].sample_time != step for rec in data.records):
+        return math.nan  # recordings at several rates
+    blocks = errors.reshape(-1, size) * np.hanning(size)
+    energy = np.cumsum((np.abs(np.fft.rfft(blocks, 4 * size)) ** 2).sum(axis=0))
+    at = int(np.searchsorted(energy, 0.9 * energy[-1]))
+    return float(np.fft.rfftfreq(4 * size, step)[at])
 
 
 def _by_commands(record: JointRecord, model: Model) -> float:
