@@ -242,14 +242,13 @@ def _with_zeros_given(
     notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]
-    notes += [n for e in (own, *others) for n in apart(e, verdict)]
     notes += off_sensor(parts.test, improved, verdict)
+    notes += [n for e in (own, *others) for n in apart(e, verdict)]
     return Diagnosis(
         verdict=verdict,
         findings=findings, refinements=refinements,
         regions=places, times=times, times_of=at,
-        unit=own.unit,
-        estimation=own.estimation, heldout=own.heldout, test=own.test,
+        unit=own.unit, estimation=own.estimation, heldout=own.heldout, test=own.test,
         noise_floor=own.noise_floor, window=own.window,
         others=tuple(others),
         discrepancy=tuple(left_at(d) for d in decisions),
