@@ -41,7 +41,6 @@ TOLD = {
     "host/zendsp/experiment/frequency.py:frequency_response": PUBLIC,
     "host/zendsp/experiment/sweep.py:sweep": PUBLIC,
     "host/zendsp/experiment/excite.py:play": "what a multisine is played with",
-    "host/zendsp/cli/prove.py:making": "the options of `zendsp prove --make`",
     "host/zendsp/experiment/lab.py:record": "what a recording may be asked for, keywords",
     "host/zendsp/tui/app.py:__init__": "the options of `zendsp tui`",
     "host/zendsp/cli/tui.py:_serve": "the options of `zendsp tui --web`, handed on",
