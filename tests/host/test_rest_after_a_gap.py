@@ -5,7 +5,6 @@ trip.
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -28,18 +27,20 @@ class Frozen:
     def tick(self) -> int:
         return int(1000.0 * self.now) + 1000
 
-    def insist(self, verb: str, patience: float, **arguments: object) -> Any:
+    def recorder_status(self) -> AcquireStatus:
         stands = 0.5 < self.now < 1.0
-        self.now += GAP_S if stands and verb == "acquire_status" else 0.01
-        if verb == "acquire_status":
-            state = RecorderState.DONE if self.ended_at else RecorderState.RUNNING
-            return AcquireStatus(state, wanted=60_000, count=self.tick())
+        self.now += GAP_S if stands else 0.01
+        state = RecorderState.DONE if self.ended_at else RecorderState.RUNNING
+        return AcquireStatus(state, wanted=60_000, count=self.tick())
+
+    def status(self) -> Status:
+        self.now += 0.01
         trips = self.now > GAP_S
         trip = Trip(TripReason.STOP, tick=TRIP, text="STOP by a host") if trips else None
         state = ProgramState.STOPPED if trips else ProgramState.RUNNING
         return Status(state, trip=trip, tick=self.tick(), rate_hz=1e3)
 
-    def end_ring(self, patience: float) -> None:
+    def end_ring(self) -> None:
         self.ended_at = self.tick()
 
 
@@ -50,5 +51,5 @@ def test_an_old_status_of_a_running_target_does_not_end_a_recording(
     time = SimpleNamespace(monotonic=lambda: target.now, sleep=lambda s: None)
     monkeypatch.setattr(wait_recorded, "time", time)
     with pytest.raises(Incomplete, match=r"was stopped before .* rows\): STOP by a host"):
-        wait_done(target.insist, target.end_ring, 60.0, 1.0, None)
+        wait_done(target.recorder_status, target.status, target.end_ring, 60.0, None)
     assert TRIP + 1000 <= target.ended_at < TRIP + 1100
