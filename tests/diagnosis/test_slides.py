@@ -91,3 +91,4 @@ def test_a_load_on_a_slide_is_told_from_a_weak_drive_by_the_friction_that_the_mo
     assert one.parameters[number].value == pytest.approx(value, abs=0.02)
     if effect == "payload":  # what one recording tells apart by given friction alone is not sure
         assert "torque_gain" in one.indistinguishable and one.confidence < 0.8
+        assert "that the model lacks." in one.sentence  # nothing shows where it is carried

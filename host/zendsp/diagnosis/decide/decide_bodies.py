@@ -352,10 +352,8 @@ def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
     )
     if effect == "payload":
         where = f"{centre} m along it" if len(known) == 1 else f"({centre}) m"
-        return (
-            f"{link} carries {number(values['mass'])} that the model lacks, with its centre at"
-            f" {where} in the link's frame."
-        )
+        at = f", with its centre at {where} in the link's frame" if known else ""
+        return f"{link} carries {number(values['mass'])} that the model lacks{at}."
     if effect == "base_tilt":
         turns = " and ".join(
             f"by {number(values[key])} about the base's {key[-1]} axis"
