@@ -47,16 +47,10 @@ def _words(option: click.Parameter, args: list[str]) -> str:
         head, joined, value = word.partition("=")
         if head in option.opts:
             given.append(value if joined else after)
-    listed = isinstance(option.type, click.types.StringParamType) and all(map(_is_number, given))
+    from zendsp.recording.formats.csv import is_number  # only where a command is refused
+
+    listed = isinstance(option.type, click.types.StringParamType) and all(map(is_number, given))
     return f"{name} is given more than once and takes one value" + (
         f": several numbers are written {name} {','.join(given)}"
         if listed and given else ": give it once"
     )
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from zendsp.diagnosis.decide.contract import WORDS, Verdict, listed, two_digits
@@ -10,7 +11,7 @@ from zendsp.diagnosis.measure.discrepancy import BANDS
 
 SMALLEST_SHARE = 1e-4  # of a torque: less cannot be told from zero
 LARGEST_SHARE = 9.99
-SEEN = BANDS[0] / 6.283  # Hz: the fastest torque that an observer sees in full
+SEEN = BANDS[0] / math.tau  # Hz: the fastest torque that an observer sees in full
 
 TILTED = "how the base stands"
 Said = tuple[str, Sequence[str], int, float]  # word, effects, joint and confidence of a finding

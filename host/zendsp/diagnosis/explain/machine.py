@@ -227,7 +227,7 @@ def _replaces(body: Found, joints: Found, given: Model) -> bool:
         return plainer(test, given, body.explained, joints.explained, more)
     models = (body.whole.improved, joints.whole.improved, joints.whole.calibrated)
     error, other, before = (model_error(test, m) for m in models)
-    slack = AS_GOOD * max(other, before - other)  # also of what refinements of friction add to both
+    slack = AS_GOOD * max(other, before - other)  # of the error, or of what the joints explain
     return error <= max(other + slack, BEYOND * noise_floor(test))
 
 

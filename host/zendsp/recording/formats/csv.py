@@ -138,7 +138,7 @@ def _names(comment: str, line: str) -> bool:
     """Whether a comment names the numbers of the line below it."""
     between = r"[,;\t]" if re.search(r"[,;\t]", line) else r"\s+"
     words, cells = (re.split(between, text.strip()) for text in (comment[1:], line))
-    return len(words) == len(cells) > 1 and all(map(_is_number, cells))
+    return len(words) == len(cells) > 1 and all(map(is_number, cells))
 
 
 def _preface(body: str) -> int:
@@ -163,7 +163,7 @@ def _preface(body: str) -> int:
 def _is_value(cell: str) -> bool:
     """Whether a cell can stand below a header: a number, a date or time, or nothing."""
     text = _year_first(cell.strip().strip('"'))
-    return text in NOTHING or _is_number(text.replace(",", ".")) or _seconds([text]) is not None
+    return text in NOTHING or is_number(text.replace(",", ".")) or _seconds([text]) is not None
 
 
 def _stamped(raw: Raw) -> Raw:
@@ -193,7 +193,7 @@ def _by_blanks(header: str, row: str) -> list[str]:
     names = [word.replace(" ", "") for word in WORD.findall(header)]
     numbers = row.replace(",", ".").split()
     same = len(names) == len(numbers) > 1 and not any(d in header for d in ";\t,")
-    return names if same and all(map(_is_number, numbers)) else []
+    return names if same and all(map(is_number, numbers)) else []
 
 
 def _apart(text: str) -> tuple[str, str]:
@@ -244,7 +244,7 @@ def _decoded(path: Path, raw: bytes) -> str:
 
 def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[str], dict[str, str]]:
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
-    if all(_is_number(cell) for cell in cells):
+    if all(is_number(cell) for cell in cells):
         raise RecordingError(
             f"{path}: line {number} holds numbers ({line[:40].strip()}); expected the names of its"
             f" {counted(len(cells), 'column')} there: put a line such as"
@@ -272,7 +272,7 @@ def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
     known = [word for word in words if to_si(word)]
     if (
         len(cells) != width
-        or any(_is_number(word) for word in words)
+        or any(is_number(word) for word in words)
         or 2 * len(known) <= len(words)
     ):
         return []
@@ -361,7 +361,7 @@ def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
     columns, units, refused, notes = {}, dict(raw.units), {}, list(raw.notes)
     for name, column in zip(names, zip(*table, strict=True), strict=True):
         cells = ["nan" if c.strip() in NOTHING else c.strip() for c in column]
-        if all(c == "nan" or not _is_number(c) for c in cells) and set(cells) != {"nan"}:
+        if all(c == "nan" or not is_number(c) for c in cells) and set(cells) != {"nan"}:
             vectors = _vectors(cells)
             if vectors is not None:
                 columns[name] = vectors
@@ -436,7 +436,7 @@ def _first_fault(
             )
         for name, cell in zip(names, cells, strict=False):
             text = _pointed(cell.strip()) if decimal == "," else cell.strip()
-            if text not in NOTHING and not _is_number(text):
+            if text not in NOTHING and not is_number(text):
                 comma = decimal == "," and any(c.isdigit() for c in cell)
                 others = " with a decimal comma, as the others are" * comma
                 return RecordingError(
@@ -454,7 +454,7 @@ def _where_named(path: Path, rows: str, delimiter: str, decimal: str, first_line
     words: list[list[str]] = []
     for cells in lines:
         plain = [_pointed(c.strip()) if decimal == "," else c.strip() for c in cells]
-        if plain and all(map(_is_number, plain)):
+        if plain and all(map(is_number, plain)):
             break
         words.append(plain)
     if words and all(map(to_si, words[-1])):
@@ -476,7 +476,8 @@ def shorten(line: str) -> str:
     return repr(line if len(line) <= SHOWN else f"{line[:SHOWN]}…")
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a text is a number as Python writes it."""
     try:
         float(text)
     except ValueError:
