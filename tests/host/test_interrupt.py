@@ -41,8 +41,9 @@ def test_ctrl_c_ends_the_recording_and_pauses_what_was_started_with_it(target: T
     for start, left in ((True, "paused"), (False, "running")):
         if not start:
             target.start()
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt) as ended:
             target.acquire(["tick"], 1e4, start=start, progress=interrupt)
+        assert "acquire_load() brings them home" in ended.value.__notes__[0]
         assert target.status().state == left
         assert target.acquire_status().state == "done"
         assert len(target.acquire_load()) > 0

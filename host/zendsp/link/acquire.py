@@ -151,11 +151,12 @@ class Recorder(Transfers):
             return self._finish(begun, timeout, note, progress, patience)
         except ZendspError:
             raise
-        except BaseException:  # Ctrl-C, or what `progress` raised: nobody waits for it any more
+        except BaseException as error:  # Ctrl-C, or of `progress`: nobody waits for it any more
             with uninterrupted(), contextlib.suppress(ZendspError):
                 if start and pauses:
                     self.request("pause")
                 self._end_ring(begun, 0.0)
+                error.add_note("rows recorded until then are kept: acquire_load() brings them home")
             raise
 
     def _need_channels(self, channels: Sequence[str], status: m.Status) -> None:

@@ -169,6 +169,9 @@ static void share_inertia(double whole, double J, double load, double *jm, doubl
 /* Steps of a gap's contact for each of the others: a contact begins and ends within a step. */
 enum { CONTACT_STEPS = 2 };
 
+/* Parts of a step in which a joint whose friction creeps turns round. */
+enum { TURN_STEPS = 8 };
+
 /* Samples from look to look at whether lanes have run away. */
 enum { BLOCK = 16 };
 

@@ -201,11 +201,10 @@ INLINE void OF(creep_straight)(const OF(task) *O, const OF(motion) *X, const OF(
  * 0.532 and min(u / 1.978, 1) of the rest, which is off by 0.05 at most. Friction is then off by
  * less than 0.4 %. */
 INLINE void OF(creep_round)(const OF(task) *O, const OF(motion) *X, const OF(lane) *level,
-                            const OF(lane) *vfree, OF(lane) *vn)
+                            double h, const OF(lane) *from, const OF(lane) *vfree, OF(lane) *vn)
 {
     EACH {
-        const double most = O->h * (*level)[l] * X->per_jm[l], slow = O->N->creep[l],
-                     v = X->qd[l];
+        const double most = h * (*level)[l] * X->per_jm[l], slow = O->N->creep[l], v = (*from)[l];
         const double per = 1.0 / slow, c = most * per, at = 1 + c, below = 2 + c,
                      part = 1 / (at * below), ahead = at * at * part, a = c * ahead,
                      seen = (v + ahead * ((*vfree)[l] - v)) * per, f = fabs(seen),
@@ -216,6 +215,31 @@ INLINE void OF(creep_round)(const OF(task) *O, const OF(motion) *X, const OF(lan
         const double e = exp(u < 20 ? 2 * u : 40), sum = e + 1;
         u -= ((u - f) * sum * sum + a * (e - 1) * sum) / (sum * sum + 4 * a * e);
         (*vn)[l] = v + (copysign(u * slow, seen) - v) * below * below * part;
+    }
+}
+
+/* A step from a speed at which friction holds to where it creeps, or beyond a turn: friction as at
+ * the step's end would be wrong for what came before. In parts, and so the way. */
+INLINE void OF(creep_turning)(const OF(task) *O, const OF(motion) *X, const OF(lane) *level,
+                              const OF(lane) *vfree, OF(lane) *vn, OF(lane) *way)
+{
+    const double part = O->h / TURN_STEPS;
+    OF(lane) turns, v, aim, to, gone;
+    _Bool any = 0;
+    EACH {
+        const double from = X->qd[l], brake = O->h * (*level)[l] * X->per_jm[l];
+        turns[l] = (fabs(from) > O->N->creep[l]) & (from * ((*vfree)[l] - brake * sgn(from)) <= 0);
+        v[l] = from; gone[l] = 0;
+    }
+    for (int l = 0; l < LANES; l++) any |= turns[l] != 0;
+    for (int k = 0; any && k < TURN_STEPS; k++) {
+        EACH aim[l] = v[l] + ((*vfree)[l] - X->qd[l]) / TURN_STEPS;
+        OF(creep_round)(O, X, level, part, &v, &aim, &to);
+        EACH { gone[l] += 0.5 * part * (v[l] + to[l]); v[l] = to[l]; }
+    }
+    EACH {
+        (*vn)[l] = turns[l] != 0 ? v[l] : (*vn)[l];
+        (*way)[l] = turns[l] != 0 ? gone[l] : (*way)[l];
     }
 }
 
@@ -264,7 +288,7 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
     OF(dry)(O->M, O->N, O->S, &along, scale, &level);
     EACH level[l] = level[l] > 0 ? level[l] : 0.0;
     if (creeps && O->N->straight) OF(creep_straight)(O, X, &level, &vfree, &vn);
-    else if (creeps) OF(creep_round)(O, X, &level, &vfree, &vn);
+    else if (creeps) OF(creep_round)(O, X, &level, O->h, LANES_OF(qd), &vfree, &vn);
     else EACH {
         const double a = free[l] * X->per_jm[l], b = level[l] * X->per_jm[l], v = X->qd[l];
         const double to = v + h * (a - b * sgn(v)); /* where it would get without a stand */
@@ -274,6 +298,7 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
         way[l] = turns ? 0.5 * (stood * v + left * vn[l]) : 0.5 * h * (v + vn[l]);
     }
     if (soft) EACH way[l] = 0.5 * h * (X->qd[l] + vn[l]);
+    if (creeps && !O->N->straight) OF(creep_turning)(O, X, &level, &vfree, &vn, &way);
     if (O->hidden && O->N->bristled) OF(bristle)(O, X, &level, &vfree, &vn, &way);
     if (!O->steady) EACH way[l] += (X->qd[l] != 0) | (vn[l] != 0) ? X->early[l] * X->per_jm[l] : 0;
     if (O->N->loaded)
