@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import reality
 from made_claims import claim_of, of_one_claim
 from small_models import COULOMB, VISCOUS, model_of
 
+from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.decide import believed, laws, nameless, patchwork
 from zendsp.diagnosis.decide.claims import Decision, Piece, unclaimed
 from zendsp.diagnosis.decide.contract import Reason
@@ -361,3 +364,23 @@ def test_of_interchangeable_laws_the_one_found_first_is_named(
     whole = Piece("dry_friction", terms, nothing, 0.4, nothing, 1.0)
     ranked = laws._ranked(nothing, nothing, nothing, whole, nothing, 1)
     assert ranked[0].effects == (first,) and len(ranked) == 3
+
+
+@pytest.mark.usefixtures("sizes_unasked")
+def test_a_spring_that_the_model_takes_for_a_weight_is_one_finding(tmp_path: Path) -> None:
+    """The weight that calibration takes away was a second one: "position 0 is where it stands
+    upright, or the sign is wrong".
+    """
+    machine, rate = reality.Machine(spring=0.2), 250.0
+    runs = [
+        reality.save(
+            tmp_path / f"{seed}.csv",
+            reality.simulate(machine, reality.multisine(6.0, rate, seed), rate),
+        )
+        for seed in (1, 2)
+    ]
+    model = reality.model_file(tmp_path / "m.toml", rate, *reality.KNOWN, gravity=0.19)
+    (found,) = diagnose(runs[0], model, runs[1], jobs=1).findings
+    assert found.effect == "stiffness" and found.replaces == ("gravity",)
+    assert found.parameters["coefficient"].value == pytest.approx(0.2, rel=0.01)
+    assert "the given model's term gravity" in found.sentence

@@ -16,7 +16,14 @@ import numpy as np
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.findings import Estimate, Finding
-from zendsp.diagnosis.decide.moved import FAR, given_off, known_point, one_factor, times
+from zendsp.diagnosis.decide.moved import (
+    FAR,
+    given_off,
+    known_point,
+    one_factor,
+    times,
+    weight_gone,
+)
 from zendsp.diagnosis.decide.pieces import finest
 from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import difference
@@ -86,7 +93,10 @@ def shifted(
     both = [moves[key][1] for key in (main, "gravity") if key in moves]
     heavier = len(both) == 2 and _both_far(*both)
     if main not in moves or not (abs(moves[main][1]) > FAR or heavier):
-        return _gravity_only(given, decision, moves, test)
+        gone, own = weight_gone(given, whole.improved, joint), mechanism_of("gravity")
+        if gone and any(name in library() and mechanism_of(name) == own for name in found):
+            return []  # what was found stands in its place
+        return _gravity_only(given, decision, moves, test, gone)
     ratio, z, amount, std = moves[main]
     if 0.0 < ratio < _by_unseen(whole.improved, joint, test):
         return []
@@ -342,6 +352,7 @@ def _gravity_only(
     decision: Decision,
     moves: dict[str, tuple[float, float, float, float]],
     test: Data,
+    gone: bool,
 ) -> list[tuple[float, float, Finding]]:
     if "gravity" not in moves or abs(moves["gravity"][1]) < WEIGHT_ALONE * FAR:
         return []
@@ -354,7 +365,9 @@ def _gravity_only(
         "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad"),
     }
     why = "there is an unbalance, or the given number is wrong"
-    if ratio < -1.0:  # it pulls the other way
+    if gone:
+        why = "nothing weighs here, or it is balanced"
+    elif ratio < -1.0:  # it pulls the other way
         why = "position 0 is where it stands upright ([sensor] offset), or the sign is wrong"
     text = (
         f"Calibration moves the gravity torque of joint {joint} by"

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zendsp.diagnosis.decide.findings import Estimate, number
-from zendsp.diagnosis.decide.thresholds import TOLERANCE
+from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, calibrated
 from zendsp.physics.effects import mechanism_of
@@ -48,6 +48,17 @@ def moved(given: Model, calibrated: Model) -> list[str]:
                 )
             out.append(text + _along_link(given, far))
     return out
+
+
+def weight_gone(given: Model, improved: Model, joint: int) -> bool:
+    """Whether calibration takes the stated weight of a joint's mechanism away: something else was
+    taken for it.
+    """
+    before, after = (m.mechanism.get("gravity", ()) for m in (given, improved))
+    if len(before) < joint or not before[joint - 1].free or not before[joint - 1].value:
+        return False
+    stated, left = before[joint - 1].value, after[joint - 1]
+    return abs(left.value) < max(TOLERANCE * abs(stated), PLAIN * left.std)
 
 
 def _along_link(given: Model, far: Sequence[_Number]) -> str:

@@ -25,7 +25,7 @@ from zendsp.diagnosis.decide.findings import (
     sentence,
     waves,
 )
-from zendsp.diagnosis.decide.moved import G
+from zendsp.diagnosis.decide.moved import G, weight_gone
 from zendsp.diagnosis.decide.patchwork import draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.stated_numbers import agreed_on, is_no_law, numbers_of
@@ -35,7 +35,7 @@ from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit
 from zendsp.physics.calibration.joint import mechanism_value, own_weight
-from zendsp.physics.effects import get_effect, library
+from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import TREES, Model, Term
 from zendsp.physics.term_numbers import chosen
 
@@ -76,7 +76,8 @@ def name_findings(
                 beside = beside_unknown(
                     whole.calibrated, whole.improved, joint, claim.mechanism, stated
                 )
-                finding = _unknown(given, decision, claim, share, mismatch(test, beside, joint))
+                left = mismatch(test, beside, joint)
+                finding = _unknown(given, decision, whole, claim, share, left)
                 drawn = _drawn(given, decision, whole, claim)
                 finding = replace(finding, sentence=finding.sentence + drawn)
             else:
@@ -110,7 +111,12 @@ def name_findings(
 
 
 def _unknown(
-    given: Model, decision: Decision, claim: Claim, share: float, lacks: Sequence[Missing]
+    given: Model,
+    decision: Decision,
+    whole: Assembled,
+    claim: Claim,
+    share: float,
+    lacks: Sequence[Missing],
 ) -> Finding:
     """The finding of a mechanism without a law: its size, and a curve over its variable of the
     torque that ``lacks`` on untouched recordings beside everything named.
@@ -154,7 +160,7 @@ def _unknown(
         confidence(claim, decision),
         share,
         (),
-        _replaced(given, claim, joint),
+        _replaced(given, whole, claim, joint),
         text,
         numbers,
         claim.mechanism,
@@ -195,7 +201,7 @@ def _finding(
             if abs(grown.value) > grown.std:
                 text += f" It weighs: gravity grows by {number(grown)} with it."
                 numbers["details"] = {"weight": grown.value}
-    replaced = _replaced(given, claim, joint)
+    replaced = _replaced(given, whole, claim, joint)
     if replaced:
         named = ", ".join(f"{e} ({WORDS.get(get_effect(e).mechanism, e)})" for e in replaced)
         several = "terms" if len(replaced) > 1 else "term"
@@ -277,11 +283,13 @@ def _turned(model: Model, term: Term, values: Mapping[str, Estimate]) -> str:
     )
 
 
-def _replaced(given: Model, claim: Claim, joint: int) -> tuple[str, ...]:
-    """The terms of the given model that a claim replaces. The search may have replaced others in
-    between.
+def _replaced(given: Model, whole: Assembled, claim: Claim, joint: int) -> tuple[str, ...]:
+    """The terms of the given model that a claim replaces, its mechanism's weight among them. The
+    search may have replaced others in between.
     """
-    return tuple(e for e in claim.replaces if any(t.effect == e for t in given.at(joint)))
+    terms = tuple(e for e in claim.replaces if any(t.effect == e for t in given.at(joint)))
+    weight = claim.mechanism == mechanism_of("gravity") and claim.effect != "gravity"
+    return (*terms, "gravity") if weight and weight_gone(given, whole.improved, joint) else terms
 
 
 def _grown(fit: Fit, gravity: Term, given: Model) -> Estimate:
