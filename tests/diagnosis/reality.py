@@ -43,7 +43,7 @@ class Machine:
     tail: float = 2.0  # exponent of Stribeck's curve
     uneven: float = 0.0  # dry friction varies: uneven * sin(7 q)
     ripple: float = 0.0
-    order: int = 7
+    order: float = 7
     spring: float = 0.0
     wave: float = 0.0  # a law that no library has: wave * tanh(sin(3 q)) * cos(2 q̇)
     wiggle: float = 0.0  # a user's own effect: wiggle * q̇ / (1 + q̇²)

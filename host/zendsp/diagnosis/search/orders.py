@@ -1,4 +1,4 @@
-"""Orders at which a torque repeats with the position, beyond the grids of the effects.
+"""Orders at which a torque repeats with the position, between and beyond the grids of the effects.
 
 Behind a gear a motor's poles pass a hundred times a turn and more, and not a whole number of times;
 a harmonic drive of ratio 50 errs 100 times. A spectrum over the angle, in place of a hypothesis
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.calibration.joint import JointRecord
-from zendsp.physics.effects.axes import HARMONICS
+from zendsp.physics.effects.axes import HARMONICS, LEAST_ORDER
 
 Array = npt.NDArray[np.float64]
 
@@ -55,24 +55,57 @@ def outstanding(
         does by chance: a power r times the median has a chance of 2^-r.
     """
     first = records[0]
-    along = [r.motion.states[0] for r in records]
-    span = max(float(np.ptp(q)) for q in along)
-    apart = math.pi / max(span, 1e-9)
+    apart = _apart(records)
     begin = math.ceil(least / apart) + 1
     end = min(math.floor(finest(records) / apart), begin + MOST_ORDERS)
     if first.slides or end - begin < 3:
         return []
-    # a transform of so many cells of the position has the orders k * apart
-    cells = 2 * CELLS_OF_A_WAVE * end
-    wide = 2.0 * math.pi / (apart * cells)
-    sums = np.zeros(cells)
-    for q, values in zip(along, series, strict=True):
-        sums += np.bincount(np.floor(q / wide).astype(np.int64) % cells, values, cells)
-    power = np.abs(np.fft.rfft(sums)[begin : end + 1]) ** 2
+    power = _spectrum(records, series, apart, end)[begin:]
     blocks = np.array_split(power, max(1, len(power) // NEIGHBOURS))
     usual = np.concatenate([np.full(len(b), np.median(b)) for b in blocks])
     clear = power / np.maximum(usual, 1e-300)
-    top = 1 + np.flatnonzero((clear[1:-1] >= clear[:-2]) & (clear[1:-1] >= clear[2:]))
     sure = math.log2(len(power) / CHANCE_ORDER)
-    best = sorted(top[clear[top] > sure], key=lambda k: -clear[k])[:PEAKS]
+    best = [k for k in _tops(clear) if clear[k] > sure][:PEAKS]
     return [float(apart * (begin + k)) for k in best]
+
+
+def between(records: Sequence[JointRecord], series: Sequence[Array]) -> list[float]:
+    """The orders of a rotary joint up to ``HARMONICS`` at which a series repeats the most with the
+    position, without those that a whole one stands for; none of a joint that turns less than a
+    turn. Parameters as for `outstanding`.
+
+    A wave that passes a few times a turn has side lobes, since the joint passes each place at other
+    speeds: it need not stand out of its neighbours, but is the highest.
+    """
+    apart = _apart(records)
+    if records[0].slides or apart > 0.5:
+        return []
+    fine = 0.5 * apart
+    begin = math.ceil(LEAST_ORDER / fine)
+    power = _spectrum(records, series, fine, math.floor(HARMONICS / fine))[begin:]
+    found = (float(fine * (begin + k)) for k in _tops(power))
+    return [n for n in found if abs(n - round(n)) > apart][:PEAKS]
+
+
+def _apart(records: Sequence[JointRecord]) -> float:
+    """The distance of orders that the longest travel tells apart, 1/rad."""
+    return math.pi / max(1e-9, *(float(np.ptp(r.motion.states[0])) for r in records))
+
+
+def _tops(power: Array) -> list[int]:
+    """Where a spectrum has its peaks, the highest first."""
+    top = 1 + np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:]))
+    return sorted(top.tolist(), key=lambda k: -power[k])
+
+
+def _spectrum(
+    records: Sequence[JointRecord], series: Sequence[Array], apart: float, end: int
+) -> Array:
+    """The power of a series of position at the orders k ``apart``, k from 0 to ``end``."""
+    cells = 2 * CELLS_OF_A_WAVE * end
+    wide = 2.0 * math.pi / (apart * cells)
+    sums = np.zeros(cells)
+    for record, values in zip(records, series, strict=True):
+        at = np.floor(record.motion.states[0] / wide).astype(np.int64) % cells
+        sums += np.bincount(at, values, cells)
+    return np.asarray(np.abs(np.fft.rfft(sums)[: end + 1]) ** 2)

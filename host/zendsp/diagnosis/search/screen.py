@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.search.orders import outstanding
+from zendsp.diagnosis.search.orders import between, outstanding
 from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.fit import Data, Fit, residuals
 from zendsp.physics.calibration.handles import Handle
@@ -295,7 +295,8 @@ class Screen:
         ]
 
     def _beyond(self, effect: Effect) -> list[dict[str, float]]:
-        """Grid points of a wave over the position beyond its grid, at the ``outstanding`` orders.
+        """Grid points of a wave over the position between those of its grid and beyond, at the
+        ``orders``.
         """
         if "order" in effect.grid:
             return [{"order": n} for n in self.orders]
@@ -324,7 +325,7 @@ class Screen:
         for way in (np.ones_like, np.sign, np.square):
             ways = [way(rec.motion.states[1]) for rec in self.records]
             series = [g * w for g, w in zip(seen, ways, strict=True)]
-            found += outstanding(self.records, series)
+            found += between(self.records, series) + outstanding(self.records, series)
         return list(dict.fromkeys(found))
 
     def _searched_for(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:

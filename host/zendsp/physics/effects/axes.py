@@ -9,7 +9,7 @@ import numpy as np
 
 from zendsp.physics.effects.base import Along, Array, Facts, Numbers, Parameter
 
-HARMONICS = 60
+LEAST_ORDER, HARMONICS = 2, 60  # screened a turn: once per turn is gravity
 PERIODS = 1.5  # of a wave within the motion, where no turn says how often it repeats
 # damping ratio of a load: rubber has 0.1, MuJoCo's constraints 1; a fit that needs more imitates
 # something else
@@ -24,8 +24,8 @@ Limits = Callable[[Facts], tuple[float, float]]
 def orders(facts: Facts) -> Sequence[float]:
     """Repeats to screen, 1/rad or 1/m: whole ones a turn from two on, finely spaced on an axis."""
     if facts.slides:
-        return [math.pi / facts.scale.position * i for i in range(2, 320)]
-    return [float(i) for i in range(2, HARMONICS + 1)]  # once per turn is gravity
+        return [math.pi / facts.scale.position * i for i in range(LEAST_ORDER, 320)]
+    return [float(i) for i in range(LEAST_ORDER, HARMONICS + 1)]
 
 
 def order_limits(turn: float, *, whole: bool = True) -> Limits:
