@@ -110,9 +110,10 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     band = band_of(w.train.records[0][joint - 1], band)
     before, after = (_passing_slowly(m, period, band) for m in (before, after))
     axis, mechanism = axis_of(finding), mechanism_of(finding.effect)
-    law, *curves = (
-        curve_over(m, axis, mechanism) for m in (between(before, after), before, after)
-    )
+    apart = between(before, after)
+    # all three by the same weights, or else the law would not be what lies between the others
+    each = [[replace(m, std=a.std) for m, a in zip(s, apart, strict=True)] for s in (before, after)]
+    law, *curves = (curve_over(m, axis, mechanism) for m in (apart, *each))
     along, unit = "", units_at(d, joint)["position"]
     if period and float(np.ptp(law.samples.x)) > FOLDED * period:
         law, *curves = (_folded(curve, period) for curve in (law, *curves))
