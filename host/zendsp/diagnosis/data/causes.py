@@ -86,6 +86,9 @@ def _lead(name: str, motion: _Motion, joint: int) -> None:
     """
     y, period = motion.positions[joint - 1], motion.period
     stated = per_joint(motion.model.sensor.resolution, joint, 0.0)
+    steps = np.abs(np.diff(y))
+    if stated > 0 and np.all((steps == 0.0) | (steps > 0.5 * stated)):
+        return  # in counts: of slow motion their rounding is no noise
     noise = noise_beside_quantisation(y, 0.0)
     if noise > (NOISELESS * stated if stated > 0 else COMPUTED * float(np.ptp(y))):
         return
