@@ -42,12 +42,13 @@ def test_rows_missing_from_an_even_clock_are_not_called_jitter(
     assert len(said) == 1 and "run.csv: 3 rows missing, all others evenly spaced" in said[0]
 
 
+@pytest.mark.parametrize("part", [0.1, 0.15])
 def test_jittering_time_stamps_of_evenly_sampled_rows_are_not_used(
-    good: Columns, model: Path, tmp_path: Path
+    part: float, good: Columns, model: Path, tmp_path: Path
 ) -> None:
     """Jitter of a tenth of a sample had looked like 2.5 % missing torque and seven missing rows."""
     r = np.random.default_rng(7)
-    t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / FAST
+    t = good["t"] + part * r.standard_normal(len(good["t"])) / FAST
     file = reality.save(tmp_path / "run.csv", {**good, "t": t})
     notes = accepted(file, model)
     assert any("no row is missing" in n for n in notes) and any("evenly spaced" in n for n in notes)

@@ -221,7 +221,9 @@ def _jittering(name: str, time: Array, period: float) -> Clock:
     beside = step + np.minimum(padded[:-2], padded[2:])
     lacks = (whole > 1) & (np.round(beside / period) > MOST_OF_TWO)
     spread = float(np.std(step[~lacks])) / period
-    missing = int(np.sum(whole - 1, where=lacks, initial=0.0))
+    # and as many more samples than rows must have gone by
+    beyond = round((time[-1] - time[0]) / period) - len(step)
+    missing = max(0, min(beyond, int(np.sum(whole - 1, where=lacks, initial=0.0))))
     if missing and spread < EVEN:
         rows = f"{counted(missing, 'row')} missing, all others evenly spaced"
     else:
