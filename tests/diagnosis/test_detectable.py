@@ -235,7 +235,7 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
     assert shown | hidden == asked - has
     assert "torque_gain" in hidden, "inertia and friction, calibrated, imitate it"
     assert "delay" in shown, "a shift of the command column, refined, had imitated it"
-    assert "would not be seen here even if large: " in summary(d)
+    assert "may be missed here even if large: " in summary(d)
     curve = replace(d.undetectable[0], effect="stribeck", at={"velocity": 0.05})
     assert hidden_words([curve], d) == "stribeck (joint 1 at velocity 0.05 rad/s)"
     listed = _could_not(d).partition("no size is asked: ")[2].partition(".</p>")[0].split(", ")
@@ -298,7 +298,7 @@ def test_a_gap_of_the_stated_size_is_found_and_none_within_the_sensors_error_is_
 
 
 def test_of_a_joint_that_nothing_drives_no_size_of_a_drive_is_told(tmp_path: Path) -> None:
-    """A delay and a gain of the pole's motor "would not be seen here even if large"."""
+    """A delay and a gain of the pole's motor "may be missed here even if large"."""
     u = reality.multisine(8.0, reality.RATE, 1)
     driven = reality.simulate(reality.Machine(coulomb=0.0), u, reality.RATE)
     inertia, damping, spring = 0.01, 0.002, 0.3

@@ -31,7 +31,7 @@ UNIT = 50  # least factor between units of time: seconds, milliseconds, minutes
 OTHER_UNIT = 0.2  # of the stated sample time: a larger difference means another unit
 EQUALS = 1e-3  # of it: a mean within this equals it
 EVEN = 5e-4  # of the sample time, RMS: less would be written as 0.0 %
-A_ROW_LATE = 4.0  # standard deviations of the steps: of 5000 rows one is as late in every sixth recording
+A_ROW_LATE = 4.0  # standard deviations of the steps: without a missing row one in 30 000
 MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing row makes three
 # of the roughness over stamps: smoother rows were read evenly. True stamps give 1 and more, however
 # slow the motion

@@ -141,7 +141,7 @@ def _could_not(d: Diagnosis) -> str:
         rows.append("<li>a spring and a gap are those of a load with half of the inertia")
     if d.undetectable:
         unseen = escape(hidden(d.undetectable, d))
-        rows.append(f"<li>would not be seen here even if large: {unseen}")
+        rows.append(f"<li>may be missed here even if large: {unseen}")
     return (
         "<p><b>What may have been missed:</b> what is smaller than this. Of what is as large, nine"
         " of ten would have been found; of what is half or a third of it, many are, too. Of the"

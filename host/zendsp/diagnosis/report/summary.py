@@ -62,7 +62,7 @@ def summary(d: Diagnosis) -> str:
     if d.detectable:
         lines.append(f"what may have been missed: {_missed(d.detectable)}")
     if d.undetectable:
-        lines.append(f"would not be seen here even if large: {hidden(d.undetectable, d)}")
+        lines.append(f"may be missed here even if large: {hidden(d.undetectable, d)}")
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:

@@ -172,5 +172,5 @@ def _unseen(r: Report) -> str:
     ]
     hidden = [f"joint {x['joint']}  {x['effect']}" for x in r.get("undetectable", ())]
     if hidden:
-        lines += ["", "Would not be seen here even if large:", "", *hidden]
+        lines += ["", "May be missed here even if large:", "", *hidden]
     return "\n".join(lines)
