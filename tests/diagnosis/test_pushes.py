@@ -28,6 +28,11 @@ Decided = Callable[..., Diagnosis]
 pytestmark = pytest.mark.usefixtures("sizes_unasked")
 
 
+def run(name: str, n: int = 900) -> Any:
+    """A recording of which only name and time are asked."""
+    return SimpleNamespace(recording=name, t0=1.0, sample_time=0.01, n=n)
+
+
 @pytest.fixture
 def seconds() -> tuple[float, float]:
     """Pushes that last, and time enough beside them."""
@@ -42,6 +47,16 @@ def test_a_torque_only_in_the_recordings_to_choose_by_leaves_the_verdict_open(
         monkeypatch.setattr(decide, name, lambda *_: None)
     pushed = reality.Machine(push=(0.3, 2.0, 3.0))
     assert decided(reality.Machine(), pushed).verdict == "unexplained"
+
+
+@pytest.mark.parametrize(("last", "pushed"), [(8.0, True), (9.0, False)])
+def test_a_torque_that_acts_for_half_of_a_recording_is_no_push(last: float, pushed: bool) -> None:
+    def part(name: str, n: int) -> Any:
+        return SimpleNamespace(records=[[run(name, n)]])
+
+    found = Bursts(((1.0, last),), ("b",), 0.9, 5.0, 2.0, 0.1, 1.0, 1.1, (1.0,), 0.95)
+    parts: Any = SimpleNamespace(fit=part("b", 1800), held=part("a", 900))
+    assert pushes.comes_and_goes(found, parts, 1) is pushed
 
 
 def test_joints_that_are_pushed_at_the_same_times_are_one_finding() -> None:
@@ -342,7 +357,7 @@ def test_of_several_joints_what_held_out_recordings_alone_lack_is_no_push_beside
     monkeypatch.setattr(pushes, "in_held", lambda *_: push)
     monkeypatch.setattr(pushes, "in_fit", lambda *_: None)
     monkeypatch.setattr(pushes, "everywhere", lambda found, *_: found)
-    one: Any = SimpleNamespace(joints=joints, records=[[SimpleNamespace(recording="held")]])
+    one: Any = SimpleNamespace(joints=joints, records=[[run("held")]])
     parts: Any = SimpleNamespace(fit=one, choose=one, test=one, held=one, each=(one, one, one))
     out = Decision(1, "unexplained", (), (), model, model, size, size, size, size, model, 1.0)  # type: ignore[arg-type]
     assert pushes.pushed_beside(out, [model], parts, False, 1) == (push if told else None)
@@ -371,7 +386,7 @@ def test_frequent_or_small_or_load_torques_are_no_push(
     )
     monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: loads)
     monkeypatch.setattr(pushes, "apart", lambda *_: (1.0, 1.0))
-    one, two, three = ((SimpleNamespace(recording=f"{name}.csv"),) for name in "abc")
+    one, two, three = ((run(f"{name}.csv"),) for name in "abc")
     fit, held = (SimpleNamespace(records=records) for records in ((one, two), (one, two, three)))
     parts: Any = SimpleNamespace(fit=fit, choose=held, test=held, held=held)
     size: Any = SimpleNamespace(value=0.2)
@@ -398,7 +413,7 @@ def test_a_calibration_spoilt_by_a_push_gives_way_to_that_of_the_other_recording
     )
     monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: ())
     monkeypatch.setattr(pushes, "apart", lambda *_: (1.0, 1.0))  # with the numbers of the fit
-    data: Any = SimpleNamespace(records=((SimpleNamespace(recording="a.csv"),),))
+    data: Any = SimpleNamespace(records=((run("a.csv"),),))
     parts: Any = SimpleNamespace(fit=data, choose=data, test=data, held=data)
     size: Any = SimpleNamespace(value=0.2)
     monkeypatch.setattr(pushes, "discrepancy", lambda _, model, __: size)

@@ -326,6 +326,15 @@ def _driven(push: Bursts, each: Sequence[Data], joint: int) -> bool:
     return bool(inside.size) and float(np.median(inside)) > float(most)
 
 
+def part_of_the_time(found: Bursts, data: Data, joint: int) -> float:
+    """The part of the time of some recordings in which a torque acts."""
+    acts = []
+    for record in (rec[joint - 1] for rec in data.records):
+        t: Array = record.t0 + record.sample_time * np.arange(record.n, dtype=np.float64)
+        acts.append(~_away(found, record.recording, t))
+    return float(np.mean(np.concatenate(acts)))
+
+
 def _away(
     found: Bursts, recording: str, t: Array, near: float = 0.0
 ) -> npt.NDArray[np.bool_]:
