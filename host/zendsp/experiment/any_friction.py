@@ -41,6 +41,7 @@ from zendsp.experiment.sliding import (
     constant_speed_pieces,
     fit_friction,
     found_friction,
+    unexplained,
 )
 from zendsp.experiment.standing import standing
 from zendsp.experiment.watch import BEARS, LOOP, STIFFER, Held, left_out, look, widen
@@ -248,17 +249,14 @@ def with_coupling(sliding: Sliding, may_weigh: bool) -> tuple[Sliding, tuple[int
     """
     from scipy.special import fdtri
 
-    def squares_of(pieces: Sliding) -> float:
-        return fit_friction(pieces.alike(), may_weigh, unknown=True).squares
-
     parts = len(np.unique(sliding.part))
     taken: tuple[int, ...] = ()
     least = GAVE * float(np.std(sliding.acceleration))
     gave = {k for k, turn in sliding.turns.items() if np.std(turn) > least}
-    squares = squares_of(sliding)
+    squares = unexplained(sliding.alike(), may_weigh)
     while left := gave - set(taken):
         more = {k: replace(sliding, further=(*sliding.further, sliding.turns[k])) for k in left}
-        tried = {k: squares_of(x) for k, x in more.items()}
+        tried = {k: unexplained(x.alike(), may_weigh) for k, x in more.items()}
         best = min(tried, key=lambda k: tried[k])
         free = parts - 5 - 2 * may_weigh - len(more[best].further)
         if free < 1 or squares - tried[best] <= fdtri(1, free, NO_CHANCE) * tried[best] / free:
@@ -312,8 +310,8 @@ def _falling(sliding: Sliding, weighs: bool) -> Friction:
 
     found = fit_friction(sliding, weighs, unknown=True)
     slow = np.geomspace(0.6, SPREAD, 24) * float(np.abs(sliding.speed).min())
-    tried = [fit_friction(sliding, weighs, unknown=True, slow=v) for v in slow]
-    best = min(tried, key=lambda f: f.squares)
+    fastest = min(slow, key=lambda v: unexplained(sliding, weighs, float(v)))
+    best = fit_friction(sliding, weighs, unknown=True, slow=float(fastest))
     free = len(sliding.torque) - 9
     more = (found.squares - best.squares) / 2 > fdtri(2, free, NO_CHANCE) * best.squares / free
     if not more or best.excess <= best.excess_half:

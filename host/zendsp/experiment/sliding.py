@@ -220,6 +220,43 @@ class Friction:
         return {"weight_sine": self.sine, "weight_cosine": self.cosine}
 
 
+@dataclass(frozen=True)
+class _Solved:
+    """A solution, its columns as they are and weighted (`_explained`), and what is left."""
+
+    columns: Array
+    others: int  # columns before those that fall with speed
+    weighted: Array
+    x: Array
+    inverse: Array  # covariance of it over the variance of what is left
+    left: Array
+
+
+def _solve(
+    sliding: Sliding, weighs: bool, unknown: bool, slow: float, about: bool, both: bool
+) -> _Solved:
+    """The numbers of `fit_friction`, without their uncertainties."""
+    A, others = _columns(sliding, weighs, unknown, slow, about)
+    weight = sliding.weights()
+    measured, torque = weight[:, None] * A, weight * sliding.torque
+    weighted = _explained(sliding, measured, 6 if weighs else 4) if unknown else measured
+    shared = np.eye(A.shape[1])
+    if both:
+        shared[2, 0] = shared[3, 1] = 1.0
+        shared = np.delete(shared, [2, 3], axis=1)
+    y, _, within = least_squares(weighted @ shared, torque)
+    x = shared @ y
+    return _Solved(A, others, weighted, x, shared @ within @ shared.T, torque - measured @ x)
+
+
+def unexplained(sliding: Sliding, weighs: bool, slow: float = 0.0) -> float:
+    """Sum of squares that `fit_friction` leaves of an unknown machine's torques. Intervals take
+    most of a fit's time, and only the chosen one of many needs them.
+    """
+    left = _solve(sliding, weighs, True, slow, False, False).left
+    return float(left @ left)
+
+
 def fit_friction(
     sliding: Sliding,
     weighs: bool,
@@ -241,16 +278,8 @@ def fit_friction(
     there is a plan both are taken as it and the other columns explain them (two-stage least
     squares): noise is in no plan.
     """
-    A, others = _columns(sliding, weighs, unknown, slow, about)
-    weight = sliding.weights()
-    measured, torque = weight[:, None] * A, weight * sliding.torque
-    weighted = _explained(sliding, measured, 6 if weighs else 4) if unknown else measured
-    shared = np.eye(A.shape[1])
-    if both:
-        shared[2, 0] = shared[3, 1] = 1.0
-        shared = np.delete(shared, [2, 3], axis=1)
-    y, _, within = least_squares(weighted @ shared, torque)
-    x, inverse = shared @ y, shared @ within @ shared.T
+    solved = _solve(sliding, weighs, unknown, slow, about, both)
+    A, others, x, left = solved.columns, solved.others, solved.x, solved.left
     ways = np.zeros((4, len(x)))  # means of both directions, and half of what they differ by
     ways[0, [0, 2]] = ways[1, [1, 3]] = 0.5
     ways[2, [0, 2]] = ways[3, [1, 3]] = 0.5, -0.5
@@ -260,8 +289,7 @@ def fit_friction(
     if weighs:
         most[0, 4:6] = A[int(np.argmax(np.abs(carried))), 4:6]
     every = np.vstack([np.eye(len(x)), ways, most])
-    left = torque - measured @ x
-    wide = _half_widths(sliding, weighted, left, inverse, every, unknown)
+    wide = _half_widths(sliding, solved.weighted, left, solved.inverse, every, unknown)
     half, width = np.split(wide, [len(x)])
     if unknown:  # the others give way in the direction of the move, and change that weight
         blur = NORMAL * sliding.others * float(np.hypot(*x[4:6])) if weighs else 0.0
