@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -48,9 +49,11 @@ def _bodies(q: Array, v: Array) -> tuple[Array, Array]:
     return mass, np.array([-s * (2 * v[0] * v[1] + v[1] ** 2), s * v[0] ** 2])
 
 
+@cache
 def _simulated(springs: tuple[int, ...]) -> tuple[Array, Array, Array]:
     """Commands (n, 2), motors (n, 2), and positions, then speeds of the links (n, 4). A joint (from
-    0) without a spring has one of 100 times its stiffness, well damped.
+    0) without a spring has one of 100 times its stiffness, well damped. Made once a session, and
+    only read.
     """
     rigid = [1.0 if j in springs else 100.0 for j in range(2)]
     k = np.array(STIFFNESS) * rigid
@@ -70,6 +73,8 @@ def _simulated(springs: tuple[int, ...]) -> tuple[Array, Array, Array]:
             v = v + h * np.linalg.solve(mass, through - moving)
             turned, q = turned + h * speed, q + h * v
     table = np.array(rows)
+    for made in (command, table):
+        made.flags.writeable = False
     return command, table[:, :2], table[:, 2:]
 
 
