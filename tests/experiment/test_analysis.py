@@ -270,7 +270,9 @@ def test_lines_that_are_only_compared_get_no_intervals(monkeypatch: pytest.Monke
         return _half_widths(*given)
 
     monkeypatch.setattr("zendsp.experiment.sliding._half_widths", counted)
-    fit_line(unknown_joint(np.random.default_rng(5), 0.0, 0.0), True)
+    joint = unknown_joint(np.random.default_rng(5), 0.0, 0.0)
+    fit_line(joint, True)
+    assert joint.weights() is joint.weights(), "told once for all lines"
     assert len(asked) <= 7, "with and without weight: plain, the best and about it; alike"
 
 
