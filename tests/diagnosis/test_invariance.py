@@ -110,6 +110,7 @@ def test_nothing_that_is_found_changes_with(
             assert other.parameters[key].value == pytest.approx(
                 of_torque * value.value, rel=2e-3, abs=2e-3 * of_torque * 0.03
             )
+            assert other.parameters[key].std == pytest.approx(of_torque * value.std, rel=0.1)
     assert after.discrepancy[0].share == pytest.approx(
         before.discrepancy[0].share, rel=0.05, abs=2e-4
     )

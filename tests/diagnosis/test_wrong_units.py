@@ -113,9 +113,11 @@ p3 = 0.09
         load_model(path)
 
 
-def test_a_recording_given_twice_is_told(runs: list[Path], tmp_path: Path) -> None:
+def test_a_recording_given_twice_is_told_and_counts_once(runs: list[Path], tmp_path: Path) -> None:
+    """Twice the rows made each number seem surer by the root of two."""
     model = load_model(reality.model_file(tmp_path / "m.toml", RATE, *KNOWN))
-    _, _, notes = read_divided([runs[0], runs[0]], [runs[1]], model)
+    fitted, held, notes = read_divided([runs[0], runs[0]], [runs[1], runs[1]], model)
+    assert len(fitted) == len(held) == 1
     assert any("1.csv has the same rows as" in note and "given twice" in note for note in notes)
     _, _, notes = read_divided([runs[0]], [runs[1]], model)
     assert not any("given twice" in note for note in notes)

@@ -55,7 +55,9 @@ def read_divided(
     _refuse_twice(signals, held)
     begin = min(float(s.time[0]) for s in (*signals, *held))
     signals, held = ([replace(s, origin=begin) for s in each] for each in (signals, held))
-    notes = [*check_signals([*signals, *held], model), *_given_twice(signals), *_given_twice(held)]
+    told: list[str] = []
+    signals, held = (_each_once(each, told) for each in (signals, held))
+    notes = [*check_signals([*signals, *held], model), *told]
     signals, held = with_same_columns(signals, held)
     if held:
         return signals, held, notes
@@ -70,14 +72,19 @@ def _is_same(s: Signals, h: Signals) -> bool:
     )
 
 
-def _given_twice(signals: Sequence[Signals]) -> list[str]:
-    """The notes on recordings with the same rows."""
-    return [
-        f"{s.name} has the same rows as {signals[k].name}: given twice, it says no more"
-        for i, s in enumerate(signals)
-        for k in range(i)
-        if _is_same(s, signals[k])
-    ]
+def _each_once(signals: Sequence[Signals], told: list[str]) -> list[Signals]:
+    """The recordings without those that have the rows of an earlier one, which are told: they would
+    make everything seem twice as sure.
+    """
+    out: list[Signals] = []
+    for s in signals:
+        first = next((o for o in out if _is_same(s, o)), None)
+        if first is None:
+            out.append(s)
+        else:
+            same = f"{s.name} has the same rows as {first.name}"
+            told.append(f"{same}: given twice, it says no more, and counts once")
+    return out
 
 
 def _refuse_twice(fitted: Sequence[Signals], held: Sequence[Signals]) -> None:
