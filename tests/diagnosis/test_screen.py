@@ -106,7 +106,12 @@ def _between(values: Sequence[float], share: float) -> float:
     return low + share * (high - low)
 
 
-@pytest.mark.parametrize("model", [model_of(VISCOUS, COULOMB), _axis(VISCOUS, COULOMB)])
+@pytest.mark.parametrize("model", [
+    model_of(VISCOUS, COULOMB),
+    pytest.param(
+        _axis(VISCOUS, COULOMB), marks=pytest.mark.long("a joint has most of an axis' grids")
+    ),
+])  # fmt: skip
 def test_the_screen_finds_numbers_between_the_points_of_its_grid(model: Model) -> None:
     """Friction that repeated every 20 mm on an axis of 0.27 m had been looked for only at 18 and 27
     mm.

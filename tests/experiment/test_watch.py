@@ -312,7 +312,11 @@ def turned(angle: float) -> str:
 
 
 @pytest.mark.parametrize(("name", "came"), [
-    ("breakaway", "while its command came to"), ("high-speed", "that it had moved by")
+    pytest.param(
+        "breakaway", "while its command came to",
+        marks=pytest.mark.long("a push against a block is told alike; lost: its words"),
+    ),
+    ("high-speed", "that it had moved by"),
 ])  # fmt: skip
 def test_a_push_that_something_holds_up_is_ended_and_says_where(
     tmp_path: Path, name: str, came: str

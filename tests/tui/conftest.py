@@ -82,7 +82,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(scope="session")
 def shared_target() -> Iterator[Target]:
     # 20 machine seconds a second: quick, and leaves the CPU to the others
-    target = local("imi_planar", clock="fast", options=["--speed", "20"], timeout=PATIENCE_S)
+    target = local("imi_planar", clock="fast", options=["--speed", "10"], timeout=PATIENCE_S)
     yield target
     target.close()
 
