@@ -184,13 +184,15 @@ def test_a_position_that_was_not_read_anew_is_no_motion_and_said(
     given = kernel_model(load_model(model))
     true = read_signals(reality.save(tmp_path / "good.csv", good), given).position[:, 0]
     step = np.abs(np.diff(true))
-    parts = np.array_split(np.arange(2, len(step) - 2), 4)
-    fast = [int(part[np.argmax(step[part])]) for part in parts]  # steps of many counts
+    parts = np.array_split(np.arange(2, len(step) - 2), 5)
+    *fast, k = (int(part[np.argmax(step[part])]) for part in parts)  # steps of many counts
     stale = {k: v.copy() for k, v in good.items()}
     slow = np.flatnonzero(np.abs(step / reality.RESOLUTION - 8) < 2)  # of few counts
     fast += [int(slow[len(slow) // 2]), fast[0] + 2]  # a slow one, and another soon after the first
-    for k in fast:
-        stale["q"][k + 1] = stale["q"][k]
+    for row in fast:
+        stale["q"][row + 1] = stale["q"][row]
+    stale["q"][k + 1 : k + 3] = good["q"][k : k + 2]  # where the next one came as late
+    fast += [k, k + 1]
     signals = read_signals(reality.save(tmp_path / "stale.csv", stale), given)
     assert any(f"{len(fast)} positions repeated in the midst" in n for n in signals.notes)
     assert np.abs(signals.position[:, 0] - true).max() < 0.2 * step[fast].min()

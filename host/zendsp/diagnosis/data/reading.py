@@ -100,7 +100,7 @@ def read_signals(source: Source, model: Model, tell: Told | None = None) -> Sign
     if held:
         notes.append(
             f"{name}: {counted(held, 'position')} repeated in the midst of a motion, as where the"
-            " sensor was not read; the line between the neighbours stands there"
+            " sensor was not read; the curve through the neighbours stands there"
         )
     rows = position
     of = by_motion(of, name, position)

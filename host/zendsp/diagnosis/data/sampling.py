@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,9 +77,9 @@ def turned_on(
 def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
     """Positions (n, joints) without those that a logger only repeated, and their number.
 
-    A moving joint does not stop for one sample and catch up in the next. So a value is a repetition
-    if it equals the one before, the steps around it are several counts, and the next step is twice
-    as large.
+    A moving joint does not stop for one sample and catch up in a next one. So a value is a
+    repetition if it equals the one before, the steps around it are several counts, and the next
+    step is twice as large; or the step after a few more, whose values came as late as it.
     """
     out, count = position.copy(), 0
     step = np.diff(position, axis=0)
@@ -86,15 +87,32 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
         padded = np.pad(step[:, j], STEPS_AROUND, mode="edge")
         around = np.lib.stride_tricks.sliding_window_view(padded, 2 * STEPS_AROUND + 1)
         usual = np.median(around, axis=1)
-        usual, none, after = usual[1:-1], step[1:-1, j], step[2:, j]
-        # in a smooth motion two steps differ only by the sensor's noise
-        noisy = 2.0 * float(np.median(np.abs(np.diff(step[:, j])))) / MEDIAN
+        # in a smooth motion three steps lie on a line, but for the sensor's noise, of which they
+        # have √20 and the difference of two steps √6
+        bends = np.abs(np.diff(step[:, j], 2))
+        noisy = 2.0 * math.sqrt(6.0 / 20.0) * float(np.median(bends)) / MEDIAN
         several = np.abs(usual) > max(REPEATED_COUNTS * resolution[j], noisy)
-        double = np.abs(after - 2.0 * usual) < 0.5 * np.abs(usual)
-        rows = 2 + np.flatnonzero((none == 0) & several & double)
-        out[rows, j] = 0.5 * (position[rows - 1, j] + position[rows + 1, j])
-        count += len(rows)
+        rows = 2 + np.flatnonzero((step[1:-1, j] == 0) & several[1:-1])
+        for late in range(1, STEPS_AROUND + 1):
+            rows = rows[rows + late < len(position)]
+            far = usual[rows - 1]
+            caught = np.abs(step[rows + late - 1, j] - 2.0 * far) < 0.5 * np.abs(far)
+            for k in range(late - 1):
+                out[rows[caught] + k, j] = position[rows[caught] + k + 1, j]
+            unread = rows[caught] + late - 1
+            out[unread, j] = _between_four(out[:, j], unread)
+            rows, count = rows[~caught], count + late * len(unread)
     return out, count
+
+
+def _between_four(y: Array, rows: npt.NDArray[np.int64]) -> Array:
+    """The values at single rows of a series by those of the two rows before and after: of a cubic,
+    or of a line where one of the outer rows is to be replaced too, or is not there.
+    """
+    inner = y[rows - 1] + y[rows + 1]
+    first, last = rows - 2, np.minimum(rows + 2, len(y) - 1)
+    whole = ~np.isin(first, rows) & ~np.isin(last, rows) & (rows + 2 < len(y))
+    return np.asarray(np.where(whole, (4.0 * inner - y[first] - y[last]) / 6.0, 0.5 * inner))
 
 
 def _of_another_rate(name: str, period: float, model: Model) -> RecordingError:
