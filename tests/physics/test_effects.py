@@ -116,6 +116,7 @@ def test_effect_is_explained(name: str) -> None:
             field == "joint"
             or field in effect.names
             or (field == "repeats" and "order" in effect.names)
+            or (field == "rings" and {"stiffness", "load_inertia"} <= set(effect.names))
             or (field == "compared" and "amount" in effect.names)
             or (field == "relative" and "ratio" in effect.names)
         )

@@ -227,6 +227,8 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
     words["joint"] = str(term.joint)
     if "order" in values:
         words["repeats"] = repeats(values["order"])
+    if {"stiffness", "load_inertia"} <= set(values):
+        words["rings"] = number(rings(values["stiffness"], values["load_inertia"]))
     if "amount" in values:
         amount = values["amount"]
         words["compared"] = (
@@ -260,6 +262,19 @@ def repeats(order: Estimate) -> str:
         return f"{number(order)} times a turn"
     period = 2e3 * math.pi / order.value
     return f"every {number(Estimate(period, period * order.std / order.value, 'mm'))}"
+
+
+def rings(stiffness: Estimate, inertia: Estimate) -> Estimate:
+    """The frequency, Hz, with which a load rings on a spring whose other side is held.
+
+    Examples
+    --------
+    >>> number(rings(Estimate(1510.0, 3.0, "N m/rad"), Estimate(0.0382, 2e-4, "kg m²")))
+    '31.643 ± 0.089 Hz'
+    """
+    hertz = math.sqrt(stiffness.value / inertia.value) / (2.0 * math.pi)
+    off = math.hypot(stiffness.std / stiffness.value, inertia.std / inertia.value)
+    return Estimate(hertz, 0.5 * hertz * off, "Hz")
 
 
 def waves(each: Sequence[dict[str, Estimate]]) -> str:

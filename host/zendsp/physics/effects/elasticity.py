@@ -66,7 +66,8 @@ EFFECT = Effect(
         "j_links = p[4];"
     ),
     sentence=(
-        "Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia}."
+        "Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia},"
+        " which rings at {rings} while the motor is held."
     ),
     experiment=(
         "Chirp or multisine around the resonance; steps and listen to the ringing. A base that"
