@@ -309,3 +309,16 @@ def test_no_step_starts_from_a_backlash_of_no_width(monkeypatch: pytest.MonkeyPa
         assert bool(moves) is moved
 
 
+def test_a_light_slow_load_is_found_though_its_start_is_worse_than_none() -> None:
+    """A tenth of a machine that swings at 3 Hz: the starts with the smallest error were springs of
+    50 Hz, which do nothing, and a pendulum of 1.5 kg in 14 kg was no spring.
+    """
+    load, motor = 0.0011, 0.0089
+    stiffness = (2 * np.pi * 3.0) ** 2 * load * motor / (load + motor)
+    machine = reality.Machine(load=load, soft=stiffness, coulomb=0.005, viscous=0.02)
+    columns = reality.simulate(machine, reality.multisine(8.0, RATE, 5, high=6.0), RATE)
+    base = model_of(VISCOUS, COULOMB)
+    calibrated = calibrate_joint(data_of(columns, base), base, 1)
+    best = Rounds(calibrated.data, 1, 1, lambda _: None).round(calibrated)[0]
+    assert best.effect == "elasticity"
+    assert best.scored.model.terms[-1].value("stiffness") == pytest.approx(stiffness, rel=0.05)

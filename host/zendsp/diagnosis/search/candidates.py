@@ -210,8 +210,10 @@ def scan(
     jobs: int = 1,
 ) -> list[tuple[Term, Model, float]]:
     """The most likely of an effect's start values, one simulation each, upon each of some models
-    without the effects that are ``gone`` for it. Also, for a transmission, the largest promised
-    decrease of the deviance per sample; nan for others.
+    without the effects that are ``gone`` for it. For a transmission also the largest promised
+    decrease of the deviance per sample (nan for others), and the start of a spring that promises
+    it: beside calibrated numbers that are bent for want of a load, the true one is worse than none,
+    and a spring so stiff that it does nothing is the most likely.
     """
     assert effect.scan is not None
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
@@ -235,11 +237,14 @@ def scan(
     with threads(jobs) as each:
         columns = np.ascontiguousarray(residuals(data, trials, (joint,), each).T)
     values_of = [deviance_of(data, joint, column) for column in columns]
-    gain = math.nan
+    gain, best = math.nan, -1
     if effect.family == "transmission" and listed:
         handles = joint_handles(data, models[0], joint)
         base = fit(data, models[0], handles, joints=(joint,), iterations=0, jobs=jobs)
-        gain = promised(base, columns[np.isfinite(values_of)])
+        whole = np.flatnonzero(np.isfinite(values_of))
+        gains = promised(base, columns[whole])
+        gain = float(np.max(gains, initial=0.0))
+        best = int(whole[np.argmax(gains)]) if gain > 0.0 and not effect.rough else -1
     order = sorted(range(len(listed)), key=lambda i: (values_of[i], i))
     def kind(i: int) -> float:  # starts of one kind lead to the same optimum
         if not effect.rough and len(models) > 1:
@@ -247,4 +252,6 @@ def scan(
         return listed[i][0].value(effect.apart, float(i))
 
     unlike = {kind(i): i for i in reversed(order)}
-    return [(*listed[i], gain) for i in order if unlike[kind(i)] == i][:STARTS]
+    first = [i for i in order if unlike[kind(i)] == i][:STARTS]
+    first += [best] if best >= 0 and best not in first else []
+    return [(*listed[i], gain) for i in first]

@@ -455,9 +455,9 @@ def _imitable(fit: Fit, jac: Array) -> Array:
     return np.linalg.qr(jac)[0] if jac.shape[1] else np.zeros((len(jac), 0))
 
 
-def promised(base: Fit, others: Array) -> float:
-    """The largest decrease of the deviance per sample between a fit and any of some other
-    innovations, (m, n), to first order, with the calibrated numbers fitted again.
+def promised(base: Fit, others: Array) -> Array:
+    """The decrease of the deviance per sample between a fit and each of some other innovations,
+    (m, n), to first order: with the calibrated numbers and the size of the change fitted, (m,).
     """
     n = others.shape[1]
     r, q = base.residual[:n], _imitable(base, base.jacobian[:n])
@@ -465,8 +465,9 @@ def promised(base: Fit, others: Array) -> float:
     ways -= (ways @ q) @ q.T
     along, size = ways @ left, np.einsum("mn,mn->m", ways, ways)
     ahead = (along < 0) & (size > 0)
-    share = np.max(along[ahead] ** 2 / size[ahead], initial=0.0) / max(float(r @ r), 1e-300)
-    return -math.log(max(1.0 - float(share), 1e-9))
+    share = np.zeros(len(others))
+    share[ahead] = along[ahead] ** 2 / size[ahead] / max(float(r @ r), 1e-300)
+    return -np.log(np.maximum(1.0 - share, 1e-9))
 
 
 def _least_squares(gram: Array, moment: Array) -> Array:
