@@ -35,7 +35,7 @@ from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import load_model, parse_model
-from zendsp.physics.model import Model
+from zendsp.physics.model import Actuator, Model
 from zendsp.physics.term_numbers import kernel_model
 
 
@@ -220,6 +220,18 @@ def test_what_calibration_moved_is_told_by_name_in_the_numbers_of_a_model_file()
     stuck = set_values(given, [Handle("term", 2, "breakaway")], np.array([0.09]))
     (note,) = moved(given, stuck)
     assert "stribeck breakaway 0.15 to 0.19 (+27 %)" in note
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_a_gain_that_calibration_moved_is_told(free: bool) -> None:
+    """Free gains of an arm fell by 7 % under the mass of a link, and no note said so."""
+    rotary = {"kind": "rotary", "parameters": {"inertia": {"value": 0.01}}}
+    bench = {"name": "b", "sample_time": 0.001, "mechanism": rotary}
+    given = parse_model({**bench, "columns": {"position": "q", "command": "u"}})
+    given = replace(given, actuator=Actuator(gain=(1.0,), gain_free=free))
+    after = replace(given, actuator=Actuator(gain=(0.934,), gain_free=free))
+    notes = ["joint 1: calibration moves actuator gain 1 to 0.934 (-7 %)"] if free else []
+    assert moved(given, after) == notes
 
 
 @pytest.mark.parametrize("std, price", [(0.0, True), (0.036, False)])

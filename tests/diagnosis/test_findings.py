@@ -17,7 +17,8 @@ from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide import stated_numbers
 from zendsp.diagnosis.decide.findings import Estimate, estimates, sentence
-from zendsp.diagnosis.decide.naming import _is_a_coupling, _same
+from zendsp.diagnosis.decide.moved import undone
+from zendsp.diagnosis.decide.naming import _beside_rivals, _same
 from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load, _late_log
 from zendsp.diagnosis.decide.stated_numbers import (
     agreed_on,
@@ -395,6 +396,8 @@ def test_a_coupling_that_a_body_can_explain_is_called_indistinguishable_from_it(
     term = Term("coupling", 2, {"law": Quantity(law, free=False)})
     claim = claim_of(term, 0.1)
     assert _same(given, claim, None) == others  # type: ignore[arg-type]
+    # it was 92 % sure where a forearm was 0.65 kg heavier
+    assert _beside_rivals(given, claim, others) == (pytest.approx(2 / 3) if others else 1.0)
 
 
 @pytest.mark.parametrize(("kind", "ratio", "others"), [
@@ -495,4 +498,6 @@ def test_an_inertia_that_undoes_what_calibration_moved_may_be_a_coupling(
     moved = {**given.mechanism, "p2": (Quantity(p2, std=0.0005),)}
     claim = claim_of(Term("inertia", joint, {"amount": Quantity(-0.0188)}), 0.03)
     values = {"amount": Estimate(-0.0188, 0.0013, "kg m²")}
-    assert _is_a_coupling(given, replace(given, mechanism=moved), claim, values) is coupled
+    same = ("coupling",) if coupled else ()
+    assert undone(given, replace(given, mechanism=moved), claim, values) == same
+    assert _beside_rivals(given, claim, same) == (0.75 if coupled else 1.0)

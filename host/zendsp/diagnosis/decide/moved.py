@@ -5,17 +5,18 @@ findings.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.findings import Estimate, number
-from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
+from zendsp.diagnosis.decide.thresholds import PLAIN, SURE, TOLERANCE
 from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, calibrated
 from zendsp.physics.effects import mechanism_of
-from zendsp.physics.model import CALLED, TREES, Model, Quantity
+from zendsp.physics.model import CALLED, TREES, Model, Quantity, per_joint
 from zendsp.physics.term_numbers import file_model
 
 FAR = 3.0  # standard deviations
@@ -31,7 +32,8 @@ def moved(given: Model, calibrated: Model) -> list[str]:
     out = []
     given, calibrated = file_model(given), file_model(calibrated)
     for joint in range(1, given.joints + 1):
-        far = [n for n in _numbers(given, calibrated, joint) if n.is_far]
+        numbers = (*_numbers(given, calibrated, joint), *_gain(given, calibrated, joint))
+        far = [n for n in numbers if n.is_far]
         if far:
             text = f"{MOVED_NUMBERS} {', '.join(map(str, far))}"
             # a single number of a simulator is of no joint
@@ -79,6 +81,22 @@ def _along_link(given: Model, far: Sequence[_Number]) -> str:
     )
     where = known_point(inertia, weight)
     return f"; {where} along link 2 would do that to p2 and p3" if where else ""
+
+
+def undone(
+    given: Model, improved: Model, claim: Claim, values: Mapping[str, Estimate]
+) -> tuple[str, ...]:
+    """A coupling, where an inertia at the second joint of a planar arm undoes there what
+    calibration moved its own (p2) by: both together are by algebra one by the first joint's
+    acceleration.
+    """
+    if given.kind != "planar2r" or claim.effect != "inertia" or claim.term.joint != 2:
+        return ()
+    before, after = given.mechanism["p2"][0], improved.mechanism["p2"][0]
+    by, amount = after.value - before.value, values["amount"]
+    std = math.hypot(after.std, amount.std)
+    is_one = before.free and abs(by) > SURE * std and abs(by + amount.value) < SURE * std
+    return ("coupling",) if is_one else ()
 
 
 def friction_moved(given: Model, calibrated: Model, joint: int) -> bool:
@@ -167,6 +185,13 @@ def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
         for key, q in old.parameters.items():
             if q.free:
                 yield _Number(old.effect, key, q, new.parameters.get(key, q))
+
+
+def _gain(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
+    """The torque gain of a joint's drive, where it is free."""
+    if given.actuator.gain_free:
+        before, after = (per_joint(m.actuator.gain, joint, 1.0) for m in (given, calibrated))
+        yield _Number("actuator", "gain", Quantity(before, True), Quantity(after, True))
 
 
 def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:

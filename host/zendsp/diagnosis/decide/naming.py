@@ -11,7 +11,7 @@ from typing import cast
 from zendsp.diagnosis.data.checks import never_reverses
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
-from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision, shared
 from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.contract import WORDS, Further, Rejected, listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
@@ -25,11 +25,11 @@ from zendsp.diagnosis.decide.findings import (
     sentence,
     waves,
 )
-from zendsp.diagnosis.decide.moved import G, weight_gone
+from zendsp.diagnosis.decide.moved import G, undone, weight_gone
 from zendsp.diagnosis.decide.patchwork import draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.stated_numbers import agreed_on, is_no_law, numbers_of
-from zendsp.diagnosis.decide.thresholds import PLAIN, PREDICTED, STEEP, SURE, TOLERANCE
+from zendsp.diagnosis.decide.thresholds import PLAIN, PREDICTED, STEEP, TOLERANCE
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
@@ -206,10 +206,8 @@ def _finding(
         named = ", ".join(f"{e} ({WORDS.get(get_effect(e).mechanism, e)})" for e in replaced)
         several = "terms" if len(replaced) > 1 else "term"
         text += f" It stands in the place of the given model's {several} {named}."
-    same = _same(given, claim, whole.data)
-    if _is_a_coupling(given, whole.improved, claim, values):
-        same = (*same, "coupling")
-        sure = min(sure, 0.5 + 0.5 / (1 + len(same)))
+    same = (*_same(given, claim, whole.data), *undone(given, whole.improved, claim, values))
+    sure = min(sure, _beside_rivals(given, claim, same))
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
     return Finding(
@@ -225,20 +223,6 @@ def _finding(
         claim.mechanism,
         claim.laws,
     )
-
-
-def _is_a_coupling(
-    given: Model, improved: Model, claim: Claim, values: Mapping[str, Estimate]
-) -> bool:
-    """Whether an inertia at the second joint of a planar arm undoes there what calibration moved
-    its own (p2) by: both together are by algebra a coupling by the first joint's acceleration.
-    """
-    if given.kind != "planar2r" or claim.effect != "inertia" or claim.term.joint != 2:
-        return False
-    before, after = given.mechanism["p2"][0], improved.mechanism["p2"][0]
-    moved, amount = after.value - before.value, values["amount"]
-    std = math.hypot(after.std, amount.std)
-    return before.free and abs(moved) > SURE * std and abs(moved + amount.value) < SURE * std
 
 
 def _falls_to(model: Model, term: Term, torque_unit: str) -> str:
@@ -316,6 +300,14 @@ def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
     if law in ALIKE_ONE_WAY and never_reverses(data, claim.term.joint):
         more += [name for name in ALIKE_ONE_WAY if name != law]
     return tuple(dict.fromkeys([*claim.same, *more]))
+
+
+def _beside_rivals(given: Model, claim: Claim, same: Sequence[str]) -> float:
+    """The highest confidence of a law beside those that it cannot be told from, where these are as
+    likely: the coupling of an arm is that of its bodies.
+    """
+    rigid = given.kind in TREES and claim.is_rigid_coupling
+    return shared(len(same)) if rigid or "coupling" in same else 1.0
 
 
 def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) -> str:
