@@ -8,15 +8,26 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import reality
 from reality import KNOWN
+from small_arms import Arm
+from small_arms import recorded as arm_recorded
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide import other_load, pushes
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.headline import verdict_sentence
+from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.outcome import of_other_loads
+from zendsp.diagnosis.explain import undisturbed
+from zendsp.diagnosis.explain.machine import Found
+from zendsp.diagnosis.explain.other_bodies import other_bodies
+from zendsp.physics.model import Model
 
 Decided = Callable[..., Diagnosis]
 pytestmark = pytest.mark.usefixtures("sizes_unasked")
@@ -140,3 +151,100 @@ def test_a_recording_that_its_own_numbers_explain_fully_has_another_load(
     )
     out: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model="base"))
     assert pushes.by_own_numbers(out, parts, 1) == said
+
+
+@pytest.fixture(scope="module")
+def arms(tmp_path_factory: pytest.TempPathFactory) -> tuple[Model, dict[str, Signals]]:
+    """A model of an arm, and its recordings: two plain ones, one of 1.5 kg, and a plain one that
+    something pushes for a second.
+    """
+    folder = tmp_path_factory.mktemp("arms")
+    given, plain = arm_recorded(folder, "plain", Arm(), friction=True)
+    _, loaded = arm_recorded(folder, "loaded", Arm(mass=1.5), friction=True)
+    columns = dict(np.load(plain[0]))
+    columns["u"][1000:1500, 1] -= 4.0
+    np.savez(folder / "pushed.npz", **columns)
+    paths = {"a": plain[0], "b": plain[1], "loaded": loaded[0], "pushed": folder / "pushed.npz"}
+    return given, {k: replace(read_signals(p, given), name=k) for k, p in paths.items()}
+
+
+def _found(given: Model, kind: Verdict) -> Any:
+    links: Any = SimpleNamespace(links=())
+    return SimpleNamespace(
+        parts=SimpleNamespace(fit=SimpleNamespace(records=[[links]])),
+        decisions=[SimpleNamespace(joint=1, kind=kind)],
+        whole=SimpleNamespace(calibrated=given),
+    )
+
+
+@pytest.mark.parametrize("other, said", [("loaded", ["loaded"]), ("pushed", [])])
+def test_a_recording_of_an_arm_that_one_body_explains_has_another_load(
+    other: str, said: list[str], arms: tuple[Model, dict[str, Signals]]
+) -> None:
+    """3 kg in one recording of three were pushes of six joints, 85 % sure."""
+    given, each = arms
+    held = [each["b"]]
+    signals = ([each["a"], each[other]], held, held)
+    found = _found(given, Verdict.DISTURBANCE)
+    loads = other_bodies(found, signals, given, 1, lambda _: None)
+    assert [load.name for load in loads] == said
+    for load in loads:
+        finding = load.finding(given)
+        mass = finding.parameters["mass"]
+        assert abs(mass.value - 1.5) < 3.0 * mass.std < 0.15
+        assert finding.is_elsewhere and finding.numbers["recordings"] == ["loaded"]
+        assert finding.confidence == other_load.CONFIDENCE
+        assert "loaded is of a machine with another load" in finding.sentence
+        assert of_load([finding])[0].startswith("loaded: the calibrated")
+
+
+def test_no_recording_is_asked_for_a_load_where_nothing_lacks_or_none_is_beside_it(
+    arms: tuple[Model, dict[str, Signals]]
+) -> None:
+    given, each = arms
+    one = [each["loaded"]]
+    for kind, signals in (
+        (Verdict.COMPLETE, ([each["a"]], one, one)),
+        (Verdict.UNEXPLAINED, (one, one, one)),
+    ):
+        assert other_bodies(_found(given, kind), signals, given, 1, lambda _: None) == ()
+
+
+@pytest.mark.parametrize(
+    ("held", "left"),
+    [
+        ("b", (["a"], ["b"], ["b"])),
+        ("loaded", ()),  # nothing is left to judge on
+    ],
+)
+def test_the_rest_is_diagnosed_without_the_recordings_of_another_load(
+    held: str, left: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def found(kind: Verdict) -> Any:
+        no: Any = None
+        out = Decision(1, kind, (), (), no, no, no, no, no, no, no, 1.0)
+        return Found(no, no, no, no, [], [], [out], no, ())
+
+    def once(parts: Any, *_: Any) -> Any:
+        if parts != "all":
+            asked.extend((parts.fit, parts.choose, parts.test))
+        return found(Verdict.UNEXPLAINED if parts == "all" else Verdict.COMPLETE)
+
+    load: Any = SimpleNamespace(name="loaded", finding=lambda _: "its finding")
+    monkeypatch.setattr(undisturbed, "other_bodies", lambda *_: (load,))
+    monkeypatch.setattr(undisturbed, "find_once", once)
+    monkeypatch.setattr(undisturbed, "of_one_sensor", lambda parts: parts)
+    monkeypatch.setattr(undisturbed, "prepare", lambda part, *_: [s.name for s in part])
+    a, loaded, other = (SimpleNamespace(name=n, whole="") for n in ("a", "loaded", held))
+    signals: Any = ([a, loaded], [other], [other])
+    parts: Any = "all"
+    given: Any = None
+    out = undisturbed.find(signals, parts, given, 1, lambda _: None)
+    assert tuple(asked) == left and out.loads == ("its finding",)
+    (decision,) = out.decisions
+    if left:
+        assert decision.kind == Verdict.COMPLETE
+    else:
+        assert (decision.kind, decision.loads) == (Verdict.UNEXPLAINED, ("loaded",))

@@ -228,18 +228,20 @@ def _with_zeros_given(
     verdict = verdict_of(findings, decisions, bool(stopped))
     better = whole.improved if findings else whole.calibrated
     improved = remembered(better, given, decisions, findings)
-    shown_on = parts.test if found.load else parts.fit  # where the missing torque can be seen
+    here = [f for f in findings if not f.is_elsewhere]
+    of_held = any(f in here for f in found.loads)
+    shown_on = parts.test if of_held else parts.fit  # where the missing torque can be seen
     joints = range(1, given.joints + 1)
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
-    places, times, at = where_and_when(lacking, decisions, findings, verdict, bool(found.claims))
+    places, times, at = where_and_when(lacking, decisions, here, verdict, bool(found.claims))
     decisions = looked.decisions
     alone = unseen(parts, found.bodies.model, decisions)
     notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]
     seen = (*looked.seen, *(d for m in found.measured for d in m.detectable), *alone)
     own, *others = errors_of(parts, (given, whole.calibrated, improved))
     notes += [*said(alone), *notes_of(decisions, given), *repeated(decisions, parts), *clocks]
-    notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
+    notes += [*of_load(found.loads), *moved(given, whole.calibrated if of_held else better)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]
     notes += off_sensor(parts.test, improved, verdict)
@@ -423,8 +425,9 @@ def _name(
     rejected = (*rejected_bodies(found.bodies, found.claims), *rejected)
     findings, guessed = without_guesses(findings, found.measured)
     refinements = (*refinements, *guessed)
-    if found.load is not None:  # which holds all that differs there from the given numbers
-        findings = (found.load,)
+    if found.loads:
+        # at one joint it holds all that differs there from the given numbers
+        findings = (*found.loads, *(findings if given.joints > 1 else ()))
     findings += found.fine
     findings += tuple(f for m in found.measured for f in m.stated(found.whole.improved))
     findings = sided(findings, found.parts, found.bodies.model)

@@ -98,6 +98,11 @@ class Finding:
         mechanism = "friction" if unsure and self.mechanism == DRY else self.mechanism
         return word_of(mechanism, (self.effect, *self.indistinguishable))
 
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether it is a load of recordings that no model of the diagnosis describes."""
+        return "recordings" in self.numbers and "body" in self.numbers
+
     def __repr__(self) -> str:
         return (
             f"<Finding {self.effect}, joint {self.joint} ({100 * self.confidence:.0f} %):"

@@ -1,7 +1,8 @@
 """Another load in the held-out recordings, where inertia and gravity differ together.
 
 The numbers of a body added between recordings are found on those to choose by, and judged on those
-to test on. For machines of one joint; bodies of an arm are found by all its joints.
+to test on. For machines of one joint; of an arm all joints together find the body of a recording
+(``explain/other_bodies.py``), which is stated here.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.confidence import sure_by
 from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import Estimate, Finding, number
 from zendsp.diagnosis.decide.moved import point_of
 from zendsp.diagnosis.decide.thresholds import A_PART, LAWFUL, SURE, TOLERANCE
@@ -22,6 +24,7 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.diagnosis.search.bodies import FoundBody
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.effects import unit_of
@@ -100,14 +103,36 @@ def _is_other(before: Estimate, now: Estimate) -> bool:
     return change > max(SURE * math.hypot(before.std, now.std), TOLERANCE * abs(before.value))
 
 
-def of_load(finding: Finding | None) -> list[str]:
-    """Notes on the improved model where it has such a load."""
-    if finding is None:
+def of_one_recording(
+    body: FoundBody, recording: str, lacks: float, left: float, given: Model
+) -> Finding:
+    """The finding of a body that one recording of an arm has and others lack. ``lacks``, ``left``:
+    what is missing there without it and with it, as parts of the torque.
+    """
+    size = math.sqrt(max(lacks**2 - left**2, 0.0))
+    sure = min(CONFIDENCE, sure_by(size, left))
+    finding = body_finding(BodyClaim(body, {}, 0.0, sure), 1.0, given)
+    return replace(
+        finding,
+        share=1.0,
+        sentence=f"{recording} is of a machine with another load than others. {finding.sentence}",
+        numbers={**finding.numbers, "recordings": [recording]},
+    )
+
+
+def of_load(findings: Sequence[Finding]) -> list[str]:
+    """Notes on the models where recordings have another load."""
+    loaded = [" and ".join(f.numbers["recordings"]) for f in findings]
+    if not loaded:
         return []
-    loaded = " and ".join(finding.numbers["recordings"])
+    if findings[0].is_elsewhere:
+        return [
+            f"{' and '.join(loaded)}: the calibrated and the improved model carry no load of"
+            " these recordings, and all else that is said here is of the others"
+        ]
     return [
-        f"the improved model carries the load of {loaded}: it does not describe the recordings of"
-        " the fit, which the calibrated one does"
+        f"the improved model carries the load of {loaded[0]}: it does not describe the recordings"
+        " of the fit, which the calibrated one does"
     ]
 
 

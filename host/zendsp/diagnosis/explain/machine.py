@@ -82,7 +82,7 @@ class Found:
     whole: Assembled
     claims: tuple[BodyClaim, ...]
     fine: tuple[Finding, ...] = ()  # fast ripples
-    load: Finding | None = None  # of the held-out recordings only
+    loads: tuple[Finding, ...] = ()  # of some of the recordings only
     without: Explained | None = None
 
     @property

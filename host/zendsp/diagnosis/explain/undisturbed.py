@@ -1,5 +1,5 @@
-"""The findings of a machine; where something pushes, once more in the rest of the recordings; and
-the load that only the held-out recordings have.
+"""The findings of a machine; where something pushes, or recordings have another load, once more in
+the rest of the recordings.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from zendsp.diagnosis.decide.other_load import other_load
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import LAWFUL
 from zendsp.diagnosis.explain.machine import Found, find_once, kept
+from zendsp.diagnosis.explain.other_bodies import Loaded, other_bodies
 from zendsp.diagnosis.measure.bursts import everywhere
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
@@ -38,7 +39,45 @@ def find(
     """
     found = find_once(parts, given, jobs, tell)
     with kept(lambda: found):
+        loads = other_bodies(found, signals, given, jobs, tell)
+        if loads:
+            return _without_loads(found, loads, signals, given, jobs, tell)
         return _without_pushes(found, signals, given, jobs, tell)
+
+
+def _without_loads(
+    found: Found,
+    loads: Sequence[Loaded],
+    signals: Sequence[Sequence[Signals]],
+    given: Model,
+    jobs: int,
+    tell: Progress,
+) -> Found:
+    """The findings of the recordings without another load, and these loads. Where too few are left
+    to diagnose, those of all recordings, in which nothing pushes.
+    """
+    stated = tuple(load.finding(given) for load in loads)
+    names = tuple(load.name for load in loads)
+    fit, choose, test = (
+        [s for s in part if (s.whole or s.name) not in names] for part in of_one_sensor(signals)
+    )
+    if not fit or not (choose or test):
+        decisions = [unpushed(d) for d in found.decisions]
+        decisions = [
+            replace(d, loads=names) if d.kind == Verdict.UNEXPLAINED else d for d in decisions
+        ]
+        return replace(found, decisions=decisions, loads=stated)
+    tell(Step.ASSEMBLING.says("once more, without the recordings of another load"))
+    choose, test = choose or test, test or choose
+    untouched = prepare(test, given, 64.0)
+    if choose is test or signals[1] is signals[2]:
+        choose, chosen = test, untouched
+    else:
+        chosen = prepare(choose, given, 64.0)
+    parts = Parts(prepare(fit, given, 64.0), chosen, untouched)
+    again = find_once(parts, given, jobs, tell)
+    again = _without_pushes(again, (fit, choose, test), given, jobs, tell)
+    return replace(again, loads=stated)
 
 
 def _without_pushes(
@@ -86,7 +125,7 @@ def _loaded(found: Found, given: Model, jobs: int) -> Found:
         return found
     mechanism = other.decision.final.model.mechanism
     whole = replace(whole, improved=replace(whole.improved, mechanism=mechanism))
-    return replace(found, load=other.finding, decisions=[other.decision], whole=whole)
+    return replace(found, loads=(other.finding,), decisions=[other.decision], whole=whole)
 
 
 def _misled(found: Found, calibrated: Model, rest: Data) -> bool:

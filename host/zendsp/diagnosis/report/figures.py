@@ -332,7 +332,8 @@ def _charts(d: Diagnosis) -> list[Chart]:
         return []
     if not isinstance(w, Workings):  # of a black-box simulator
         return simulator_charts(d, w)
-    laws = [finding_chart(d, w, f, k) for k, f in enumerate(d.findings)]
+    here = [(k, f) for k, f in enumerate(d.findings) if not f.is_elsewhere]
+    laws = [finding_chart(d, w, f, k) for k, f in here]
     told = {c.joint for c in laws} or {x.joint for x in w.decisions if x.kind != Verdict.COMPLETE}
     joints = (sorted(told | {r.joint for r in d.regions[:1]}) or [1])[:MOST_JOINTS]
     out = [error_chart(d, w, j) for j in joints]

@@ -467,7 +467,7 @@ def promised(base: Fit, others: Array) -> Array:
     ahead = (along < 0) & (size > 0)
     share = np.zeros(len(others))
     share[ahead] = along[ahead] ** 2 / size[ahead] / max(float(r @ r), 1e-300)
-    return -np.log(np.maximum(1.0 - share, 1e-9))
+    return np.asarray(-np.log(np.maximum(1.0 - share, 1e-9)))
 
 
 def _least_squares(gram: Array, moment: Array) -> Array:

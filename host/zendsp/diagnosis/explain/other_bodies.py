@@ -1,0 +1,116 @@
+"""Recordings of an arm with another load: what one body explains in one recording alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from zendsp.diagnosis.data.prepare import of_one_sensor, prepare
+from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
+from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.findings import Finding
+from zendsp.diagnosis.decide.other_load import of_one_recording
+from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED
+from zendsp.diagnosis.explain.machine import Found
+from zendsp.diagnosis.measure.discrepancy import discrepancy
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
+from zendsp.diagnosis.progress import Progress, Step
+from zendsp.diagnosis.search.bodies import FoundBody, find_bodies
+from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.model import Model
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A recording with another load: its body, and the parts of the joints' torques that are
+    missing without it and with it.
+    """
+
+    name: str
+    body: FoundBody
+    lacks: float
+    left: float
+
+    def finding(self, given: Model) -> Finding:
+        """The load as a finding."""
+        return of_one_recording(self.body, self.name, self.lacks, self.left, given)
+
+
+def other_bodies(
+    found: Found, signals: Sequence[Sequence[Signals]], given: Model, jobs: int, tell: Progress
+) -> tuple[Loaded, ...]:
+    """The recordings of an arm with a load that others lack; each is explained by one body, which
+    is found in it alone and contradicts the others.
+
+    Asked where the joints lack torque without a law. Each body is found beside the ``given``
+    model's own, and has to explain all joints below ``LAWFUL``, and most of what they lack.
+    """
+    joints, links = range(1, given.joints + 1), found.parts.fit.records[0][0].links
+    open_ones = [
+        d.joint for d in found.decisions if d.kind in (Verdict.DISTURBANCE, Verdict.UNEXPLAINED)
+    ]
+    if given.joints == 1 or links is None or not open_ones:
+        return ()
+    each = _by_recording(signals)
+    if len(each) < 2:
+        return ()
+    tell(Step.ASSEMBLING.says("what each recording says of bodies"))
+    every = {name: prepare(own, given, LIMITS.bandwidth) for name, own in each.items()}
+    lacks = {
+        name: max(discrepancy(data, found.whole.calibrated, j).value for j in joints)
+        for name, data in every.items()
+    }
+    out = []
+    for name in every:
+        body = _body_of(each[name], given, jobs, tell) if lacks[name] > LAWFUL else None
+        if body is None:
+            continue
+        left = _left(every[name], given, body, jobs)
+        explained = left < LAWFUL and left**2 < (1.0 - PREDICTED) * lacks[name] ** 2
+        if explained and any(
+            _left(data, given, body, jobs) > LAWFUL for n, data in every.items() if n != name
+        ):
+            out.append(Loaded(name, body, lacks[name], left))
+    return tuple(out) if len(out) < len(every) else ()
+
+
+def _by_recording(signals: Sequence[Sequence[Signals]]) -> dict[str, list[Signals]]:
+    """The pieces of each recording, in their order."""
+    out: dict[str, list[Signals]] = {}
+    seen: set[int] = set()
+    for part, own in zip(signals, of_one_sensor(signals), strict=True):
+        if id(part) not in seen:  # those to choose by may be those to test on
+            for s in own:
+                out.setdefault(s.whole or s.name, []).append(s)
+        seen.add(id(part))
+    return out
+
+
+def _body_of(
+    pieces: Sequence[Signals], given: Model, jobs: int, tell: Progress
+) -> FoundBody | None:
+    """The one body that a part of a recording shows and the rest confirms."""
+    if len(pieces) == 1:
+        (s,) = pieces
+        rows = len(s.time)
+        half = rows // 2
+        if half < MIN_SAMPLES:
+            return None
+        pieces = (s.part(0, half, f"{s.name} begin"), s.part(half, rows, f"{s.name} end"))
+    first, *rest = (prepare([s], given, LIMITS.bandwidth) for s in pieces)
+    more = replace(rest[0], records=tuple(rec for data in rest for rec in data.records))
+    bodies = find_bodies(first, more, given, jobs, tell).found
+    alone = len(bodies) == 1 and bodies[0].term.effect in ("payload", "body")
+    return bodies[0] if alone else None
+
+
+def _left(data: Data, given: Model, body: FoundBody, jobs: int) -> float:
+    """The largest part of a joint's torque that stays unexplained with a body, where each joint is
+    calibrated on these recordings alone.
+    """
+    model = given.with_terms((*given.terms, body.term))
+    each = [calibrate_joint(data, model, j, jobs).model for j in range(1, given.joints + 1)]
+    left = max(discrepancy(data, m, j).value for j, m in enumerate(each, 1))
+    return left if math.isfinite(left) else math.inf
