@@ -461,9 +461,14 @@ def test_a_log_is_called_late_only_where_the_final_model_keeps_the_shift(
     final = SimpleNamespace(model=has if kept else none, data=data)
     claims = (SimpleNamespace(effect="column_shift"),) * claimed
     base = SimpleNamespace(model=has)
-    decision: Any = SimpleNamespace(joint=1, base=base, final=final, claims=claims)
+    decision: Any = SimpleNamespace(joint=1, base=base, final=final, claims=claims, beside=None)
     given: Any = none
-    for decision.kind, end in (("complete", "no missing physics"), ("unexplained", "is missing")):
+    for decision.kind, left, end in (
+        ("complete", 0.0005, "no missing physics"),
+        ("complete", 0.0026, "is left"),  # of a friction that warms up
+        ("unexplained", 0.05, "is left"),
+    ):
+        decision.after = SimpleNamespace(value=left)
         said = _late_log([decision], given)
         assert len(said) == (kept and not claimed)
         assert all("0.4 ms (0.4 rows) late" in note for note in said)

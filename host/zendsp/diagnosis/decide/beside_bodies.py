@@ -58,8 +58,10 @@ def beside_bodies(
 
 
 def _may_be_weight(claim: Claim, decision: Decision, test: Data) -> bool:
-    """Whether what a joint lacks may be the weight of a body that is not quite as found."""
-    if claim.is_constant or claim.effect == "torque_gain":
+    """Whether what a joint lacks may be the weight of a body that is not quite as found; also
+    where it cannot be told from that, as a dead zone from a gain where the command has one sign.
+    """
+    if claim.is_constant or "torque_gain" in (claim.effect, *claim.same):
         return True
     if claim.mechanism != "position_torque":
         return False

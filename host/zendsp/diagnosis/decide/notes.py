@@ -10,7 +10,15 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import BEYOND, Verdict, listed, spans, times_off, two_digits
+from zendsp.diagnosis.decide.contract import (
+    BEYOND,
+    LEAST_NAMELESS,
+    Verdict,
+    listed,
+    spans,
+    times_off,
+    two_digits,
+)
 from zendsp.diagnosis.decide.findings import percent, torque_word
 from zendsp.diagnosis.decide.headline import SEEN
 from zendsp.diagnosis.decide.near import likeness, only_in_the_fit
@@ -165,16 +173,17 @@ def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
         f" late at joint {d.joint}"
         for time, d in late
     )
-    unsure = [d.joint for _, d in late if d.kind == Verdict.UNEXPLAINED]
+    # a law that is missing bends such a shift, and hides behind it
+    unsure = [
+        d.joint
+        for _, d in late
+        if d.kind == Verdict.UNEXPLAINED or d.after.value > LEAST_NAMELESS or d.beside is not None
+    ]
+    part = unsure and f"at {listed(unsure)} it may stand in for a part of what is left"
     return [
         f"the command column is {at} against the position column: behind a filter of the log, in a"
         " simulator of first order, or of a loop faster than the rows ([actuator] hold). The model"
-        " has it; "
-        + (
-            f"at {listed(unsure)} it may stand in for a part of what is missing"
-            if unsure
-            else "it is no missing physics"
-        )
+        f" has it; {part or 'it is no missing physics'}"
     ]
 
 
