@@ -10,11 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.decide_bodies import BodyClaim
+from zendsp.diagnosis.decide.decide_bodies import BodyClaim, like_bodies
 from zendsp.diagnosis.decide.thresholds import DRAWN, LAW_ERROR, OWN_SHARE, SURE
-from zendsp.diagnosis.measure.discrepancy import mean_square
+from zendsp.diagnosis.measure.discrepancy import discrepancy, mean_square
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.observed import trace
 from zendsp.physics.model import Model, Term
@@ -53,6 +54,23 @@ def beside_bodies(
             laws = [_as_law(c) for c in weight if c.term.effect != "unknown"]
             more = (*decision.refinements, *laws)
             decision = replace(decision, kind=kind, claims=keep, refinements=more)
+        out.append(decision)
+    return out
+
+
+def undoubted(
+    claims: Sequence[BodyClaim], decisions: Sequence[Decision], parts: Parts
+) -> list[Decision]:
+    """The decisions, complete where only the recordings of the fit show a law, as a body's weight
+    acts, and lack no more than the body may be wrong by.
+    """
+    out = []
+    for decision in decisions:
+        joint, like = decision.joint, {effect for effect, _ in decision.doubted} & like_bodies()
+        if like and claims:
+            wrong = max(_wrong_by(c.found.term, joint, parts.test) for c in claims)
+            if discrepancy(parts.fit, decision.base.model, joint).value < SURE * wrong:
+                decision = replace(decision, kind=Verdict.COMPLETE, doubted=())
         out.append(decision)
     return out
 

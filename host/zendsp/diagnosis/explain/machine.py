@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.across import across_joints, friction_beside, may_be_strapped, timing
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
-from zendsp.diagnosis.decide.beside_bodies import beside_bodies
+from zendsp.diagnosis.decide.beside_bodies import beside_bodies, undoubted
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict
 from zendsp.diagnosis.decide.decide_bodies import (
@@ -397,7 +397,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
         if any("calibration" in c.found.indistinguishable for c in claims):
             improved = _calibrated_beside(parts.fit, given, improved, jobs)
         whole = replace(whole, improved=improved)
-        decisions = beside_bodies(claims, decisions, parts.test)
+        decisions = undoubted(claims, beside_bodies(claims, decisions, parts.test), parts)
     else:
         decisions = or_bodies(found.bodies, decisions)
     strap = found.bodies.strap or _strap_of(found, decisions, jobs)
