@@ -24,9 +24,11 @@ from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.outcome import of_other_loads
+from zendsp.diagnosis.explain import other_bodies as module
 from zendsp.diagnosis.explain import undisturbed
 from zendsp.diagnosis.explain.machine import Found
 from zendsp.diagnosis.explain.other_bodies import other_bodies
+from zendsp.diagnosis.search.joint_zeros import OtherZero
 from zendsp.physics.model import Model
 
 Decided = Callable[..., Diagnosis]
@@ -155,16 +157,18 @@ def test_a_recording_that_its_own_numbers_explain_fully_has_another_load(
 
 @pytest.fixture(scope="module")
 def arms(tmp_path_factory: pytest.TempPathFactory) -> tuple[Model, dict[str, Signals]]:
-    """A model of an arm, and its recordings: two plain ones, one of 1.5 kg, and a plain one that
+    """A model of an arm, and its recordings: two plain ones, two of 1.5 kg, and one of each that
     something pushes for a second.
     """
     folder = tmp_path_factory.mktemp("arms")
     given, plain = arm_recorded(folder, "plain", Arm(), friction=True)
     _, loaded = arm_recorded(folder, "loaded", Arm(mass=1.5), friction=True)
-    columns = dict(np.load(plain[0]))
-    columns["u"][1000:1500, 1] -= 4.0
-    np.savez(folder / "pushed.npz", **columns)
-    paths = {"a": plain[0], "b": plain[1], "loaded": loaded[0], "pushed": folder / "pushed.npz"}
+    paths = {"a": plain[0], "b": plain[1], "loaded": loaded[0], "loaded too": loaded[1]}
+    for name, path in (("pushed", plain[0]), ("loaded and pushed", loaded[0])):
+        columns = dict(np.load(path))
+        columns["u"][1000:1500, 1] -= 4.0
+        paths[name] = folder / f"{name}.npz"
+        np.savez(paths[name], **columns)
     return given, {k: replace(read_signals(p, given), name=k) for k, p in paths.items()}
 
 
@@ -202,12 +206,28 @@ def test_no_recording_is_asked_for_a_load_where_nothing_lacks_or_none_is_beside_
     arms: tuple[Model, dict[str, Signals]]
 ) -> None:
     given, each = arms
-    one = [each["loaded"]]
+    one, same, pushed = ([each[k]] for k in ("loaded", "loaded too", "loaded and pushed"))
     for kind, signals in (
         (Verdict.COMPLETE, ([each["a"]], one, one)),
         (Verdict.UNEXPLAINED, (one, one, one)),
+        (Verdict.DISTURBANCE, (pushed, same, same)),  # all have the load
     ):
         assert other_bodies(_found(given, kind), signals, given, 1, lambda _: None) == ()
+
+
+def test_a_zero_that_one_recording_alone_seems_to_have_is_no_load(
+    arms: tuple[Model, dict[str, Signals]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor is the whole diagnosis made again with it."""
+
+    def zero(*_: Any) -> Any:
+        raise OtherZero({1: 0.1}, 64.0)
+
+    given, each = arms
+    monkeypatch.setattr(module, "find_bodies", zero)
+    signals = ([each["a"], each["loaded"]], [each["b"]], [each["b"]])
+    found = _found(given, Verdict.UNEXPLAINED)
+    assert other_bodies(found, signals, given, 1, lambda _: None) == ()
 
 
 @pytest.mark.parametrize(

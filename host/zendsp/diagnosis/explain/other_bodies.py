@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +17,7 @@ from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.bodies import FoundBody, find_bodies
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.diagnosis.search.joint_zeros import OtherZero
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
 
@@ -69,9 +69,8 @@ def other_bodies(
             continue
         left = _left(every[name], given, body, jobs)
         explained = left < LAWFUL and left**2 < (1.0 - PREDICTED) * lacks[name] ** 2
-        if explained and any(
-            _left(data, given, body, jobs) > LAWFUL for n, data in every.items() if n != name
-        ):
+        others = (data for n, data in every.items() if n != name)
+        if explained and any(_contradicts(data, given, body, jobs) for data in others):
             out.append(Loaded(name, body, lacks[name], left))
     return tuple(out) if len(out) < len(every) else ()
 
@@ -94,23 +93,32 @@ def _body_of(
     """The one body that a part of a recording shows and the rest confirms."""
     if len(pieces) == 1:
         (s,) = pieces
-        rows = len(s.time)
-        half = rows // 2
+        rows, half = len(s.time), len(s.time) // 2
         if half < MIN_SAMPLES:
             return None
         pieces = (s.part(0, half, f"{s.name} begin"), s.part(half, rows, f"{s.name} end"))
     first, *rest = (prepare([s], given, LIMITS.bandwidth) for s in pieces)
     more = replace(rest[0], records=tuple(rec for data in rest for rec in data.records))
-    bodies = find_bodies(first, more, given, jobs, tell).found
+    try:
+        bodies = find_bodies(first, more, given, jobs, tell).found
+    except OtherZero:  # of one recording alone: all together did not say so
+        return None
     alone = len(bodies) == 1 and bodies[0].term.effect in ("payload", "body")
     return bodies[0] if alone else None
 
 
-def _left(data: Data, given: Model, body: FoundBody, jobs: int) -> float:
+def _contradicts(data: Data, given: Model, body: FoundBody, jobs: int) -> bool:
+    """Whether recordings lack torque with a body, and less without it: one that is pushed lacks
+    some either way.
+    """
+    left = _left(data, given, body, jobs)
+    return left > LAWFUL and left > _left(data, given, None, jobs)
+
+
+def _left(data: Data, given: Model, body: FoundBody | None, jobs: int) -> float:
     """The largest part of a joint's torque that stays unexplained with a body, where each joint is
     calibrated on these recordings alone.
     """
-    model = given.with_terms((*given.terms, body.term))
+    model = given.with_terms((*given.terms, body.term)) if body else given
     each = [calibrate_joint(data, model, j, jobs).model for j in range(1, given.joints + 1)]
-    left = max(discrepancy(data, m, j).value for j, m in enumerate(each, 1))
-    return left if math.isfinite(left) else math.inf
+    return max(discrepancy(data, m, j).value for j, m in enumerate(each, 1))
