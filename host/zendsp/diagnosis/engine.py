@@ -228,15 +228,13 @@ def _with_zeros_given(
     verdict = verdict_of(findings, decisions, bool(stopped))
     better = whole.improved if findings else whole.calibrated
     improved = remembered(better, given, decisions, findings)
-    here = [f for f in findings if not f.is_elsewhere]
-    of_held = any(f in here for f in found.loads)
+    of_held = any(not f.is_elsewhere for f in found.loads)
     shown_on = parts.test if of_held else parts.fit  # where the missing torque can be seen
     joints = range(1, given.joints + 1)
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
-    places, times, at = where_and_when(lacking, decisions, here, verdict, bool(found.claims))
-    decisions = looked.decisions
-    alone = unseen(parts, found.bodies.model, decisions)
+    places, times, at = where_and_when(lacking, decisions, findings, verdict, bool(found.claims))
+    alone = unseen(parts, found.bodies.model, decisions := looked.decisions)
     notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]
     seen = (*looked.seen, *(d for m in found.measured for d in m.detectable), *alone)
     own, *others = errors_of(parts, (given, whole.calibrated, improved))

@@ -79,7 +79,7 @@ def _lacking(
     if bodies:
         return {d.joint for d in decisions}
     lacking = {d.joint for d in decisions if d.kind != Verdict.COMPLETE}
-    return lacking | {f.joint for f in findings}
+    return lacking | {f.joint for f in findings if not f.is_elsewhere}
 
 
 def errors_of(parts: Parts, models: tuple[Model, Model, Model]) -> list[Errors]:
