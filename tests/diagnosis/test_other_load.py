@@ -23,7 +23,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.decide.other_load import of_load
-from zendsp.diagnosis.decide.outcome import of_other_loads
+from zendsp.diagnosis.decide.outcome import _lacking, of_other_loads
 from zendsp.diagnosis.explain import other_bodies as module
 from zendsp.diagnosis.explain import undisturbed
 from zendsp.diagnosis.explain.machine import Found
@@ -200,6 +200,7 @@ def test_a_recording_of_an_arm_that_one_body_explains_has_another_load(
         assert finding.confidence == other_load.CONFIDENCE
         assert "loaded is of a machine with another load" in finding.sentence
         assert of_load([finding])[0].startswith("loaded: the calibrated")
+        assert not _lacking([], [finding], Verdict.MISSING, False), "nothing lacks in the others"
 
 
 def test_no_recording_is_asked_for_a_load_where_nothing_lacks_or_none_is_beside_it(
