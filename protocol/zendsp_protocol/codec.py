@@ -243,6 +243,14 @@ def decode_reply(data: bytes, kind: Any) -> Any:
     return _explain(data, kind)
 
 
+def declined(data: bytes) -> bool:
+    """Whether a reply says no, rather than yes or nothing that can be read."""
+    try:
+        return msgpack.unpackb(data)["ok"] is False
+    except (*_MALFORMED, LookupError):
+        return False
+
+
 def _explain(data: bytes, kind: Any) -> Any:
     """Raise the error that a reply carries, whatever its version; else one that says what is wrong
     with the reply.

@@ -18,6 +18,7 @@ from zendsp.link.background import END_S, Listener, background, open_links
 from zendsp.link.repeated_requests import RepeatedRequests
 from zendsp.link.session import new_author, not_there, open_session
 from zendsp.link.settings import Credentials
+from zendsp.link.unlike import explained
 from zendsp_protocol import codec, kept, keys
 from zendsp_protocol.once import AGAIN, FIRST, SETTLE, stamp
 from zendsp_protocol.verbs import VERBS, Verb
@@ -192,13 +193,20 @@ class Link:
             if querier is None:
                 raise
             sample = None
+        again = sample is None
         if sample is None:
             sample = (
                 self._again(row, payload, limit, begin, number, instance)
                 if row.once
                 else self._until_answered(row, querier, payload, limit, begin)
             )
-        return self._repeats.decode(sample.payload.to_bytes(), row.result, arguments)
+        reply = sample.payload.to_bytes()
+        try:
+            return self._repeats.decode(reply, row.result, arguments)
+        except LinkError as error:
+            if again and row.once:  # a target that was started again says so in these words
+                raise
+            raise explained(error, self.target, row, payload, reply) from None
 
     def _until_answered(
         self,
@@ -265,7 +273,11 @@ class Link:
                 if sample is None:  # its time is up
                     break
                 if sample.attachment is None:
-                    codec.decode_reply(sample.payload.to_bytes(), row.result)
+                    reply_bytes = sample.payload.to_bytes()
+                    try:
+                        codec.decode_reply(reply_bytes, row.result)
+                    except LinkError as error:
+                        raise explained(error, self.target, row, payload, reply_bytes) from None
                     return
                 on_part(sample.attachment.to_bytes(), sample.payload.to_bytes())
         raise self.silence(verb, row.timeout)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from zendsp.errors import LinkError
+from zendsp.errors import LinkError, VersionMismatch
 from zendsp.link.link import Link
 
 PATIENCE_S = 30.0  # for a broken link to come back
@@ -32,6 +32,8 @@ class Requests:
         ------
         LinkError
             The target is gone or did not answer.
+        VersionMismatch
+            It is older and does not know the request, or its answer cannot be read.
         ZendspError
             What the target says.
         """
@@ -44,6 +46,8 @@ class Requests:
         while True:
             try:
                 return self.request(verb, **arguments)
+            except VersionMismatch:  # as ever
+                raise
             except LinkError:
                 if self.link.closed or not self.link.wait_alive(patience):
                     raise
