@@ -340,6 +340,25 @@ def test_a_failed_load_says_that_the_program_before_was_ended(
     assert target.status().state == "empty"
 
 
+def test_a_value_that_is_refused_does_not_end_the_program_that_runs_in_silence(
+    target: Target, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.c"
+    other.write_text(
+        '#include "isr.h"\nstatic double x;\nvoid UserISR_INT2(void) {}\n'
+        'void UserInit(void) { PARAMETER(x, 0.0, "", 0.0, 1.0, ""); }\n'
+    )
+    zendsp_("run", "pd.c")
+    for wrong in ("Kp1=1e9", "Kq1=3"):  # the same program: checked first
+        done = zendsp_("run", "pd.c", "--set", wrong)
+        assert done.returncode and "what was loaded before goes on running" in done.stderr
+        assert target.status().state == "running"
+    done = zendsp_("run", str(other), "--set", "x=2")  # its limits are known once it is loaded
+    assert done.returncode and "outside its limits" in done.stderr
+    assert "other.c is loaded and not started; what was loaded before was ended" in done.stderr
+    assert target.status().state == "loaded"
+
+
 def test_run_warns_of_a_program_that_misses_every_deadline(tmp_path: Path) -> None:
     slow = tmp_path / "slow.c"
     slow.write_text(

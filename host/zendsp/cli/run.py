@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,12 +20,40 @@ from zendsp.cli.compile import compiled
 from zendsp.cli.completing import programs
 from zendsp_protocol.states import ProgramState
 
+if TYPE_CHECKING:
+    from zendsp.link import Target
+
 
 def _finite(_: click.Context, __: click.Parameter, seconds: float | None) -> float | None:
     """Refuse a time that is no number, or endless."""
     if seconds is not None and not math.isfinite(seconds):
         raise click.BadParameter(f"{seconds} is no time in which a program could end")
     return seconds
+
+
+def _download(target: Target, file: str, flags: tuple[str, ...], values: dict[str, Any]) -> None:
+    """Compile, load and set. Of a program that is loaded already, the values are checked before it
+    is ended; what another declares is known only once it is loaded.
+    """
+    from zendsp.errors import Refused, VariableError
+
+    key, before = target.compile(file, flags).key, target.status()
+    if values and key == before.program:
+        try:
+            with suppress(Refused):  # of one that has crashed
+                target.variables.check(**values)
+        except VariableError as error:
+            goes_on = "; what was loaded before goes on running"
+            raise VariableError(
+                f"{error}{goes_on if before.state == ProgramState.RUNNING else ''}"
+            ) from None
+    target.load(key)
+    try:
+        if values:
+            target.write(**values)
+    except VariableError as error:
+        ended = "" if before.state == ProgramState.EMPTY else "; what was loaded before was ended"
+        raise VariableError(f"{error}. {file} is loaded and not started{ended}") from None
 
 
 @click.command("run")
@@ -63,8 +93,8 @@ def command(
     file, values = file_and_values(words, assignments)
     with open_target(target, connect, moves=True) as t:
         if file is not None:
-            compiled(lambda: t.download(file, flags), as_json, t)
-        if values:
+            compiled(lambda: _download(t, file, flags, values), as_json, t)
+        elif values:
             t.write(**values)
         if file is not None and compensates(t.variables()):
             click.echo(

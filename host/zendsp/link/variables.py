@@ -145,6 +145,16 @@ class Variables(Part):
         self._written = written.sequence
         return written.sequence
 
+    def check(self, /, **values: Assignable) -> None:
+        """Have the target check values as `write` would; nothing is written.
+
+        Raises
+        ------
+        VariableError, Refused
+            As `stage`.
+        """
+        self.link.request("check", {"values": _wire(values)})
+
     def stage(self, /, **values: Assignable) -> dict[str, Assignable]:
         """Keep values for the next `update`, once the target has checked them; return all that is
         staged.
@@ -156,7 +166,7 @@ class Variables(Part):
         Refused
             No program is loaded, so nothing can be checked.
         """
-        self.link.request("check", {"values": _wire(values)})
+        self.check(**values)
         self._staged |= values
         return dict(self._staged)
 
