@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from steps import short_run
+from steps import nobody, short_run
+from waiting import PATIENCE_S
 
-from zendsp.errors import ReferenceError_
+from zendsp.errors import LinkError, ReferenceError_
 from zendsp.reference import Reference, load_machine, make_reference
+from zendsp.tui import play_job
+from zendsp.tui.play_job import PlayJob
 from zendsp.tui.playing import Player, Setup, make_playlist, smooth_move
 from zendsp.tui.runs import compare, discard_run, list_runs, rename_run, store_run
+from zendsp.tui.session import Session
+from zendsp.tui.snapshot import Snapshot
 
 
 def _player(capacity: int = 10**6, torque: str = "") -> Player:
@@ -106,3 +112,34 @@ def test_compare_shows_errors_parameters_and_source(tmp_path: Path) -> None:
     text = compare(runs)
     assert "Kp1" in text and "Kd1" not in text
     assert "-/* 100.0 */" in text and "+/* 400.0 */" in text
+
+
+@pytest.mark.parametrize("link", ["lost", "ended"])
+def test_a_run_whose_link_was_lost_says_how_its_rows_come_home(
+    link: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Nothing said that the target still held them, and the next Start replaced them."""
+
+    def gone(*_: object) -> None:
+        raise LinkError("the connection to 'imi' is closed")
+
+    session = Session(nobody)
+    session.snapshot = Snapshot(link=link, target="imi")  # type: ignore[arg-type]
+    port = SimpleNamespace(
+        snapshot=Snapshot, before=lambda names: SimpleNamespace(put_back=str),
+        arm=lambda shot: None, start=gone,
+    )
+    session.require = lambda: port  # type: ignore[method-assign, return-value, assignment]
+    found = SimpleNamespace(trip=None, simulated=True, good=True, text="as planned")
+    playlist = SimpleNamespace(play=(0.0, 1.0), duration=1.0, rows=())
+    plan = SimpleNamespace(values={}, tables={}, playlist=playlist, lead=0.0, seconds=1.0)
+    monkeypatch.setattr(play_job, "make_plan", lambda *_: plan)
+    job = PlayJob(
+        session, [], [], load_machine("imi_planar"), Setup(), tmp_path, {},
+        SimpleNamespace(found=lambda plan: found),  # type: ignore[arg-type]
+    )  # fmt: skip
+    job.start()
+    error = str(job.result.exception(PATIENCE_S))
+    assert error.startswith("the link was lost before it was done")
+    assert ("zendsp acquire --last -t imi -o FILE brings home" in error) == (link == "lost")
+    assert ("the next recording replaces it" in job.progress.why) == (link == "lost")

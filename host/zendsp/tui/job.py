@@ -61,8 +61,10 @@ class Job(Generic[T]):
         try:
             made = self._do(self._session.require())
         except Exception as error:
-            share = f", at {100.0 * self.progress.share:.0f} %{self.saved()}"
-            failure: Exception = self._session.told(error, share)
+            share = self.progress.share
+            failure: Exception = self._session.told(
+                error, lambda: f", at {100.0 * share:.0f} %{self.saved()}"
+            )
             expected = isinstance(failure, ZendspError)
             word = str(failure) if expected else f"{type(failure).__name__}: {failure}"
             self._session.events.add(f"{self.label}: {word}", "error")

@@ -21,7 +21,7 @@ from zendsp.tui.job import Job, Progress
 from zendsp.tui.playing import Player, Setup, present_position
 from zendsp.tui.port import Port, Shot
 from zendsp.tui.runs import Outcome, Run, store_run
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
 from zendsp_protocol.states import LATCHED, Clock, DriveState, ProgramState, VariableKind
 
@@ -62,6 +62,17 @@ class PlayJob(Job[Run | None]):
         self._references, self._files = tuple(references), tuple(files)
         self._machine, self._setup, self._runs, self._sources = machine, setup, runs, sources
         self._trial = trial
+        self._records = False  # the target has been asked to
+
+    def saved(self) -> str:
+        """How the rows come home that the target still holds."""
+        now = self._session.snapshot
+        if not self._records or now.link == LinkState.ENDED:
+            return ""
+        return (
+            f"; once it is back, zendsp acquire --last -t {now.target} -o FILE brings home what was"
+            " recorded until then; the next recording replaces it"
+        )
 
     def _do(self, port: Port) -> Run | None:
         snapshot = port.snapshot()
@@ -93,6 +104,7 @@ class PlayJob(Job[Run | None]):
         before = port.snapshot()
         if self._setup.acquire:
             port.arm(self._shot(before, plan.seconds))
+            self._records = True
         ticks = round(plan.seconds * before.rate_hz) if before.clock == Clock.FAST else None
         self._session.events.add(f"run: {playlist.duration:.2f} s, {len(playlist.rows)} rows")
         port.start(ticks)

@@ -164,9 +164,9 @@ class Session:
             raise NoLink(f"{which or 'there is no link to a target'}: Ctrl+O connects")
         return port
 
-    def told(self, error: Exception, more: str = "") -> Exception:
+    def told(self, error: Exception, more: Callable[[], str] = str) -> Exception:
         """The error of a job as it is shown. If the link was lost meanwhile, the status bar shows
-        that already, so an error about the closed connection is replaced.
+        that already, so an error about the closed connection is replaced, and ``more`` is said.
         """
         if not isinstance(error, LinkError) or isinstance(error, NoLink):
             return error
@@ -175,7 +175,7 @@ class Session:
             self._wake.set()
             time.sleep(POLL_S / 5)
         if self.snapshot.link in (LinkState.LOST, LinkState.ENDED):
-            return LinkError(f"the link was lost before it was done{more}")
+            return LinkError(f"the link was lost before it was done{more()}")
         return error
 
     def watch(self, channels: Sequence[Channel], history: History | None = None) -> History:
