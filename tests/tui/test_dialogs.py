@@ -391,3 +391,19 @@ async def test_a_switch_shows_its_state_in_words(app: ZendspApp, until: Until) -
         await until(pilot, lambda: "● yes" in row(), "without a colour")
         await pilot.press("space")
         await until(pilot, lambda: "○ no" in row(), "switched")
+
+
+async def test_no_line_of_a_message_lies_under_the_footer(app: ZendspApp, until: Until) -> None:
+    """A sentence that just did not fit into one line lost its end at 120 columns."""
+    async with app.run_test(size=(120, 40), notifications=True) as pilot:
+        await pilot.press("f3")
+        for length in range(54, 60):
+            app.toast("a" * (length - 2) + " %", "error")
+        await until(pilot, lambda: len(app.screen.query("Toast")) == 6, "they are shown")
+        await until(
+            pilot, lambda: all(t.region.height for t in app.screen.query("Toast")), "laid out"
+        )
+        assert max(t.region.bottom for t in app.screen.query("Toast")) < 40
+        for toast in app.screen.query("Toast"):
+            width, height = toast.content_size
+            assert height == -(-len(str(toast.render())) // width), "each has its lines"
