@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from waiting import PATIENCE_S
+from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.link import Target
@@ -61,6 +61,18 @@ def test_a_connection_that_commanded_and_is_closed_on_purpose_says_what_that_doe
 ) -> None:
     said = ended(arm, end.replace("COMMANDS", "t.take_command(); t.start()"))
     assert said.count("the machine was this script's to command: it stops now") == 1, said
+
+
+def test_a_script_that_took_command_of_a_machine_in_motion_says_what_its_end_does(
+    arm: Target,
+) -> None:
+    """Its orderly end latched a trip, in silence."""
+    arm.start()
+    said = ended(arm, "with t: t.take_command(); t.release_command()")
+    assert said == "" and arm.status().state == "running"
+    said = ended(arm, "with t: t.take_command()")
+    assert said.count("the machine was this script's to command: it stops now") == 1, said
+    until(lambda: arm.status().trip, "it has stopped")
 
 
 @pytest.mark.parametrize(

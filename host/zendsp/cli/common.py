@@ -116,7 +116,7 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
     from zendsp.link import connect
 
     with connect(name, endpoint) as target:
-        target.programs.outlives = False  # a command says how it leaves the machine
+        target.requests.outlives = False  # a command says how it leaves the machine
         refused, cut_short, old = "", False, ""
         with suppress(ZendspError):
             old = trouble_of(target)[1]

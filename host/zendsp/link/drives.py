@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 from zendsp.errors import Refused, ZendspError
 from zendsp.here.uninterrupted import uninterrupted
+from zendsp.link import left_moving
 from zendsp.link.joints import Joints, joints_of
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
@@ -116,6 +117,8 @@ class Drives(Part):
 
     def _drive(self, action: DriveAction, **values: object) -> str:
         said: m.Said = self.request("drive", action=action, **values)  # type: ignore[arg-type]
+        if self._requests.outlives:
+            left_moving.commanded(self.link)
         return said.text
 
     def power_on(self) -> str:

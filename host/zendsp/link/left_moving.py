@@ -21,6 +21,7 @@ DOES = {
 }
 
 _started: weakref.WeakSet[Link] = weakref.WeakSet()
+_commanded: weakref.WeakSet[Link] = weakref.WeakSet()
 
 
 def started(link: Link) -> None:
@@ -28,22 +29,30 @@ def started(link: Link) -> None:
     _started.add(link)
 
 
+def commanded(link: Link) -> None:
+    """Note the link by which this process may have taken the right to command."""
+    _commanded.add(link)
+
+
 def ended(link: Link) -> None:
     """Note that it is closed on purpose."""
     _started.discard(link)
+    _commanded.discard(link)
 
 
 def say(link: Link, on_purpose: bool = False) -> None:
-    """Say on standard error what becomes of a program that this process started, if it runs.
+    """Say on standard error what becomes of a program that this process started, or has the right
+    to command, if it runs.
 
     Parameters
     ----------
     on_purpose : bool
         The link is closed as the script says: that the machine moves on is what it wants.
     """
-    if link not in _started:
+    begun = link in _started
+    if not begun and link not in _commanded:
         return
-    _started.discard(link)
+    ended(link)
     try:
         status: m.Status = link.request("status", {}, ANSWER_S)
         drive: m.DriveStatus = link.request("drive_status", {}, ANSWER_S)
@@ -54,12 +63,12 @@ def say(link: Link, on_purpose: bool = False) -> None:
     words = "the machine moves on: 'zendsp pause' pauses it, 'zendsp stop' stops it"
     if link.author in (drive.commander, drive.moved_by):
         words = f"the machine was this script's to command: {DOES[drive.host_lost]}"
-    elif on_purpose:
+    elif on_purpose or not begun:
         return
     print(f"zendsp: {link.target}: {words}", file=sys.stderr)
 
 
 @atexit.register  # after that of `background`, and so called before the links are closed
 def _say_all() -> None:
-    for link in list(_started):
+    for link in {*_started, *_commanded}:
         say(link)

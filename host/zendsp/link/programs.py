@@ -34,7 +34,6 @@ class Programs(Part):
 
     _page: StopPage | None = None
     _page_of = b""  # run of the target
-    outlives = True  # a program that is started here the process that starts it
 
     def compile(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
         """Compile C code on the target. The running program is not touched.
@@ -126,7 +125,7 @@ class Programs(Part):
     def begin(self, ticks: int | None = None, attended: bool = False) -> None:
         """As `start`, but without looking at the first samples: the caller does."""
         self.request("start", ticks=ticks, attended=attended)
-        if self.outlives:
+        if self._requests.outlives:
             left_moving.started(self.link)
 
     def pause(self) -> None:

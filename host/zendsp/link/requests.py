@@ -15,6 +15,7 @@ class Requests:
 
     def __init__(self, link: Link) -> None:
         self.link = link
+        self.outlives = True  # a program that is started, or commanded, here this process
 
     def request(self, /, verb: str, timeout: float | None = None, **arguments: Any) -> Any:
         """Send any verb of the protocol with its arguments, and return its result.

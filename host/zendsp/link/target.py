@@ -108,7 +108,7 @@ class Target:
         self.variables = Variables(requests)
         self.parameter_sets = ParameterSets(requests, self.variables)
         self.programs = Programs(requests)
-        self.programs.outlives = on_close is None
+        requests.outlives = on_close is None
         self.recorder = Recorder(requests, self.parameter_sets)
         self.views = LiveViews(requests)
         self.tables = Tables(requests)
