@@ -11,6 +11,7 @@ from zendsp.diagnosis import diagnose
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
 from zendsp.recording.formats import csv
+from zendsp.recording.roles import Role, role_of
 
 
 def test_a_log_with_dates_and_words_is_read_without_the_words(tmp_path: Path) -> None:
@@ -357,3 +358,22 @@ def test_a_diagnosis_tells_the_share_of_a_long_file_that_it_has_read(
     assert said[0] == "reading the recordings"
     shares = [one for one in said if one.startswith("reading still.csv: ")]
     assert len(shares) > 1 and shares[-1] == "reading still.csv: 100%"
+
+
+def test_quoted_decimal_commas_are_read_where_commas_part_the_columns(tmp_path: Path) -> None:
+    """They were refused, with the advice to delete all lines of numbers."""
+    path = tmp_path / "log.csv"
+    path.write_text('"Zeit [s]","Winkel [deg]"\n"0,0000","180,00"\n"0,0020",""\n"0,0040","-90,5"\n')
+    table = read_table(path)
+    assert table["Zeit"].tolist() == [0.0, 0.002, 0.004]
+    assert np.allclose(table["Winkel"], np.radians([180.0, np.nan, -90.5]), equal_nan=True)
+    path.write_text('t,x\n1,"1,234"\n2,"2,345"\n')  # may be thousands: no number is made of it
+    assert read_table(path).notes == ("x: left out, it holds text",)
+    path.write_text('t,x\n"1,234","1,234"\n"2,345","2,345"\n')
+    with pytest.raises(RecordingError, match="'1,234' is not a number") as error:
+        read_table(path)
+    assert "tail" not in str(error.value)
+
+
+def test_a_german_time_stamp_is_the_time() -> None:
+    assert role_of("Zeitstempel", "s") is role_of("Messzeit [s]") is Role.TIME

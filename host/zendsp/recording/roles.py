@@ -23,7 +23,7 @@ class Role(Enum):
 
 
 WORDS = {
-    Role.TIME: {"t", "time", "timestamp", "stamp", "zeit", "clock"},
+    Role.TIME: {"t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "messzeit", "clock"},
     Role.POSITION: {
         "q", "theta", "phi", "pos", "position", "positions", "angle", "x", "enc", "encoder",
         "winkel", "qm", "lage", "massstab",

@@ -5,10 +5,10 @@ In a recording of zendsp the first line is a comment for people, and the last li
 holds the metadata; readers that know ``#`` skip both. The separator, ``,`` ``;`` or tab, is found
 from the header and may also end each line; where the header has none, blanks part the columns.
 Lines of text above the header are passed over where only one line has a name for each number below.
-``;`` with decimal commas is understood. A column of dates or times of day (ISO 8601, or
-day.month.year) becomes seconds since its first; a column of words or days only is left out. The two
-columns of a ROS time stamp become one. The text is
-UTF-8, UTF-16 with its mark, or Windows-1252, as spreadsheets write. A file ``.gz`` is unpacked.
+``;`` with decimal commas is understood, and ``,`` where they are quoted. A column of dates or times
+of day (ISO 8601, or day.month.year) becomes seconds since its first; a column of words or days only
+is left out. The two columns of a ROS time stamp become one. The text is UTF-8, UTF-16 with its
+mark, or Windows-1252, as spreadsheets write. A file ``.gz`` is unpacked.
 """
 
 from __future__ import annotations
@@ -43,6 +43,8 @@ READ = 1 << 24  # characters that become numbers at a time
 TITLE = "# A recording of zendsp"
 THOUSANDS = re.compile(r"(?<!\d)[1-9]\d{0,2}(\.\d{3})+,\d")  # 1.234,5: nothing else is written so
 NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
+# "0,5" in quotes; "1,234" may have its comma between thousands
+QUOTED_COMMA = re.compile(r'" *[+-]?(?:0,\d|\d+,(?!\d{3}\D))')
 # 01.02.2026, perhaps with 12:00:00: with points the day is first; 01/02/2026 may be both
 DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?![\d.])")
 EITHER_FIRST = re.compile(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}\b")
@@ -129,6 +131,9 @@ def read(path: Path, tell: Share | None = None) -> Raw:
     if said := _unit_row(rows.partition("\n")[0], delimiter, len(names)):
         units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
         rows, first_line = rows.partition("\n")[2], first_line + 1
+    if delimiter == "," and _quotes_decimals(rows, len(names)):
+        delimiter = ";"
+        rows = "\n".join(";".join(cells) for cells in csv.reader(io.StringIO(rows)))
     said_above = f"{counted(passed, 'line')} above the names of the columns passed over"
     raw = Raw({}, units, {}, metadata, notes=(said_above,) * bool(passed))
     return _stamped(_numbers(path, rows, raw, delimiter, first_line + 1, tell))
@@ -139,6 +144,16 @@ def _names(comment: str, line: str) -> bool:
     between = r"[,;\t]" if re.search(r"[,;\t]", line) else r"\s+"
     words, cells = (re.split(between, text.strip()) for text in (comment[1:], line))
     return len(words) == len(cells) > 1 and all(map(is_number, cells))
+
+
+def _quotes_decimals(rows: str, width: int) -> bool:
+    """Whether commas part numbers in quotes that have commas of their own: "0,5","1,25"."""
+    head = rows[: rows.rfind("\n", 0, 4096) + 1] or rows
+    cells = csv.reader(io.StringIO(head))
+    return (
+        bool(QUOTED_COMMA.search(head)) and ";" not in rows
+        and all(len(row) in (0, width) for row in cells)
+    )
 
 
 def _preface(body: str) -> int:
@@ -457,6 +472,8 @@ def _where_named(path: Path, rows: str, delimiter: str, decimal: str, first_line
         if plain and all(map(is_number, plain)):
             break
         words.append(plain)
+    else:  # no line of numbers: nothing says where the names are
+        words = []
     if words and all(map(to_si, words[-1])):
         words.pop()
     delete = (
