@@ -378,6 +378,17 @@ def test_ls_warns_that_a_target_elsewhere_may_refuse_a_password() -> None:
         assert said in done.stdout
 
 
+def test_ls_says_where_none_answers_beside_the_targets_that_do(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENDSP_CONNECT", "tcp/127.0.0.1:9")
+    done = zendsp_("ls")
+    assert target.name in done.stdout and done.returncode == 1
+    assert done.stderr.startswith("zendsp: no target answers at tcp/127.0.0.1:9; ")
+    monkeypatch.delenv("ZENDSP_CONNECT")
+    assert zendsp_("ls").stderr == ""
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import click
 
 from zendsp.cli.common import emit, json_option
@@ -13,13 +15,14 @@ from zendsp_protocol.views import text_table
 @click.option("--connect", metavar="ENDPOINT", help="Also look there (else $ZENDSP_CONNECT).")
 @json_option
 def command(pattern: str, connect: str | None, as_json: bool) -> None:
-    """List the targets that answer; PATTERN may hold wildcards. Exit status 1 where there are none.
+    """List the targets that answer; PATTERN may hold wildcards. Exit status 1 where there are none, or
+    where none answers at an ENDPOINT.
 
     Example:  zendsp ls 'imi*'
     """
-    from zendsp.link import discover
+    from zendsp.link.find import look
 
-    found = discover(pattern, connect)
+    found, dead = look(pattern, connect)
     rows = []
     for one in found:
         info = one.info
@@ -42,8 +45,18 @@ def command(pattern: str, connect: str | None, as_json: bool) -> None:
     problems = [one.problem for one in found if not one.info]
     table = "\n\n".join([text_table(columns, rows), *problems])
     emit(body, as_json, table if found else _none(pattern, connect))
-    if not found:
+    if found and dead:
+        click.echo(f"zendsp: no target answers at {', '.join(dead)}{_why(dead)}", err=True)
+    if dead or not found:
         raise click.exceptions.Exit(1)
+
+
+def _why(endpoints: Sequence[str]) -> str:
+    """What may be wrong at endpoints where none answers, as the end of a sentence."""
+    from zendsp.link.settings import Credentials, doubts
+
+    why = doubts(Credentials.from_environment(), endpoints)
+    return f"; {why or 'or the one there refuses the certificate or password given'}"
 
 
 def _none(pattern: str, connect: str | None) -> str:
@@ -51,11 +64,7 @@ def _none(pattern: str, connect: str | None) -> str:
 
     which = "no target" if pattern == "*" else f"no target named {pattern!r}"
     if endpoints := remote_endpoints(connect):
-        from zendsp.link.settings import Credentials, doubts
-
-        why = doubts(Credentials.from_environment(), endpoints)
-        why = why or "or the one there refuses the certificate or password given"
-        return f"{which} answers here or at {', '.join(endpoints)}; {why}"
+        return f"{which} answers here or at {', '.join(endpoints)}{_why(endpoints)}"
     return (
         f"{which} answers: 'zendsp target' starts one here; --connect or $ZENDSP_CONNECT"
         " finds one elsewhere"

@@ -73,11 +73,22 @@ def discover(
     >>> [found.name for found in discover("no-such-*")]
     []
     """
+    return look(pattern, connect, timeout)[0]
+
+
+def look(
+    pattern: str = "*", connect: str | Sequence[str] | None = None, timeout: float = 3.0
+) -> tuple[list[Found], list[str]]:
+    """The targets that answer, as `discover` returns them, and the endpoints elsewhere at which
+    none does.
+    """
     entries = [entry for entry in local_entries() if fnmatch.fnmatchcase(entry.name, pattern)]
     places: list[tuple[Sequence[str], Credentials | None]] = [reach(entry) for entry in entries]
-    places += [([endpoint], None) for endpoint in remote_endpoints(connect)]
+    elsewhere = remote_endpoints(connect)
+    places += [([endpoint], None) for endpoint in elsewhere]
     found: dict[str, Found] = {}
-    for entry, answers in zip_longest(entries, _ask_all(places, timeout)):
+    asked = _ask_all(places, timeout)
+    for entry, answers in zip_longest(entries, asked):
         problem = unreachable(entry) if entry else ""
         if entry and not answers:
             problem = problem or silent(entry.endpoints)
@@ -86,7 +97,11 @@ def discover(
         for one in answers:
             if one.name == entry.name if entry else fnmatch.fnmatchcase(one.name, pattern):
                 found.setdefault(one.name, one)
-    return [found[name] for name in sorted(found)]
+    dead = [
+        place for place, answers in zip(elsewhere, asked[len(entries) :], strict=True)
+        if not answers
+    ]
+    return [found[name] for name in sorted(found)], dead
 
 
 def there(endpoints: Sequence[str]) -> list[Found]:
