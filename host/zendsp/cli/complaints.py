@@ -55,11 +55,39 @@ def _wrong_use(error: click.ClickException) -> str:
         error = click.exceptions.NoSuchOption(name, possibilities=[f"--{o}" for o in close])
     words = error.format_message()
     if type(error) is click.BadParameter:  # it is its own sentence
-        words = error.message
+        words = _of_option(error.message, error.param)
     words = re.sub(r"\s+", " ", words).rstrip(".")
-    if number := re.search(r"'([^']*)' is not a valid (float|integer)", words):
-        words += number_hint(number[1])
     words = (words[:1].lower() + words[1:]).replace(". Did you mean", "; did you mean")
     if context is None:
         return words
     return f"{words}{'' if words.endswith('?') else ';'} '{context.command_path} --help' says more"
+
+
+def _of_option(message: str, parameter: click.Parameter | None) -> str:
+    """What click says of a value, with the option that it is of; of a number with the numbers that
+    are taken, and their unit.
+    """
+    typed = re.match(r"(?P<value>.*) is not (?:in the range|a valid (?:float|integer))", message)
+    name = max(parameter.opts, key=len) if isinstance(parameter, click.Option) else ""
+    if parameter is None or typed is None:
+        return message if not name or name in message else f"{name}: {message}"
+    value = typed["value"].strip("'")
+    said = f"{name or parameter.human_readable_name} {value.removesuffix('.0')}"
+    return f"{said}: expected {_numbers(parameter)}{number_hint(value)}"
+
+
+def _numbers(parameter: click.Parameter) -> str:
+    """The numbers that an option takes, in words."""
+    kind = parameter.type
+    whole = isinstance(kind, click.types.IntParamType)
+    words = "a whole number" if whole else "a number"
+    if isinstance(kind, click.IntRange | click.FloatRange):
+        low, high = kind.min, kind.max
+        if low is not None and high is not None:
+            words += f" from {low:g} to {high:g}"
+        elif low is not None:
+            words += f" of more than {low:g}" if kind.min_open else f" of {low:g} or more"
+    about = getattr(parameter, "help", None) or ""
+    if parameter.metavar == "S" or "--seconds" in parameter.opts or about.startswith("Seconds"):
+        words += ", in s"
+    return words

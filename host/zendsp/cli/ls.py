@@ -15,8 +15,8 @@ from zendsp_protocol.views import text_table
 @click.option("--connect", metavar="ENDPOINT", help="Also look there (else $ZENDSP_CONNECT).")
 @json_option
 def command(pattern: str, connect: str | None, as_json: bool) -> None:
-    """List the targets that answer; PATTERN may hold wildcards. Exit status 1 where there are none, or
-    where none answers at an ENDPOINT.
+    """List the targets that answer; PATTERN may hold wildcards. Exit status 1 where there are
+    none, or where none answers at an ENDPOINT.
 
     Example:  zendsp ls 'imi*'
     """
