@@ -17,6 +17,7 @@ from zendsp.errors import RecordingError
 from zendsp.link.parameters import ParameterSet
 from zendsp.recording import ParameterChange, Recording, read_table
 from zendsp.recording.cut import read_parts
+from zendsp.recording.names import units_in
 from zendsp.reference import Reference, load_reference, save_reference
 
 
@@ -383,3 +384,13 @@ def test_a_file_that_was_read_is_closed(tmp_path: Path, suffix: str) -> None:
         read_table(path)
         gc.collect()
     assert [str(warning.message) for warning in said] == []
+
+
+@pytest.mark.parametrize("recorded", ["tau", "tau[0]"])
+def test_a_signal_of_one_column_has_its_name_with_and_without_the_index(recorded: str) -> None:
+    """An array of one element was `tau`, of two `tau[0]`: what read one did not read the other."""
+    rec = Recording.from_columns({recorded: np.arange(3.0), "q": np.zeros((3, 2))}, 1e-3)
+    for name in ("tau", "tau[0]"):
+        assert name in rec and rec[name].tolist() == [0.0, 1.0, 2.0]
+    assert "tau[1]" not in rec and "q[2]" not in rec and rec["q"].shape == (3, 2)
+    assert units_in({recorded: "N m"}, "tau") == units_in({recorded: "N m"}, "tau[0]") == ["N m"]

@@ -148,7 +148,7 @@ def units_in(units: Mapping[str, str], name: str) -> list[str]:
     bare = split_unit(name)[0]
     element = split_element(bare)
     if units.get(bare) or element is None:
-        return units.get(bare, "").split(", ")
+        return (units.get(bare) or units.get(f"{bare}[0]", "")).split(", ")
     each = units.get(element[0], "").split(", ")
     return [each[min(element[1], len(each) - 1)]]
 
@@ -158,12 +158,18 @@ def _bound(value: object) -> str:
 
 
 def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
-    """A signal by name, or one column of a vector by ``"q[1]"``; None where there is neither.
+    """A signal by name, or one column of a vector by ``"q[1]"``; None where there is neither. A
+    signal of one column is ``q`` and ``q[0]``, whichever name it was recorded by.
 
     Raises
     ------
     RecordingError
         Something that is no name; the message says what to write.
+
+    Examples
+    --------
+    >>> pick({"q": np.zeros(3)}, "q[0]"), pick({"q[0]": np.ones(3)}, "q"), pick({}, "q")
+    (array([0., 0., 0.]), array([1., 1., 1.]), None)
     """
     if not isinstance(name, str):
         first = next(iter(columns), "q")
@@ -177,9 +183,12 @@ def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
     element = split_element(name)
     if element and element[0] in columns:
         values = columns[element[0]]
-        if values.ndim == 2 and element[1] < values.shape[1]:
-            return values[:, element[1]]
-    return None
+        width = values.shape[1] if values.ndim == 2 else 1
+        if element[1] < width:
+            return values[:, element[1]] if values.ndim == 2 else values
+    elements = [split_element(column) for column in columns]
+    alone = [found[1] for found in elements if found and found[0] == name] == [0]
+    return columns[f"{name}[0]"] if alone else None
 
 
 def told(columns: Mapping[str, FloatArray]) -> list[str]:
