@@ -378,6 +378,25 @@ def test_ls_warns_that_a_target_elsewhere_may_refuse_a_password() -> None:
         assert said in done.stdout
 
 
+def test_a_measurement_that_is_refused_does_not_first_say_what_it_will_do(target: Target) -> None:
+    zendsp_("run", "pd.c")
+    for words in (
+        "sweep nix=1,2 -c e1 -s 1", "sweep Kp1=900,1000 -c nix -s 1", "bode --f-max 600",
+        "bode --output nix", "bode --f-min 0",
+    ):
+        done = zendsp_(*words.split())
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
+    words = "sweep Kp1=900 -c e1 -s 0.2 --settle 0.1 --fade 0.1"
+    done = zendsp_(*words.split())
+    assert done.stderr.startswith("sweep of 1 run, ") and done.returncode == 0
+
+
+def test_a_faded_value_is_told_with_the_end_of_its_fade(target: Target) -> None:
+    zendsp_("run", "pd.c")
+    assert zendsp_("set", "Kp1=900", "--fade", "0.1").stdout.endswith(", the end of the fade\n")
+    assert "fade" not in zendsp_("set", "Kp1=950").stdout
+
+
 def test_ls_says_where_none_answers_beside_the_targets_that_do(
     target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -40,6 +40,16 @@ def test_write_and_read_asynchronously(running: Target) -> None:
     assert reading["q"][1] == reading["q[1]"] == -reading["q"][0]
 
 
+def test_several_names_in_brackets_are_refused_with_what_to_write(running: Target) -> None:
+    asked: Any = ("Kp1", "Kd1")
+    with pytest.raises(VariableError, match=r"target\.read\(\['Kp1', 'Kd1'\]\)"):
+        running[asked]
+    with pytest.raises(VariableError, match=r"target\.update\(Kp1=…, Kd1=…\)"):
+        running[asked] = 1.0, 2.0
+    with pytest.raises(VariableError, match="expected the name of a variable"):
+        running[asked[:0]]
+
+
 def test_a_target_that_tells_nonsense_of_itself_is_named(
     target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -238,7 +248,8 @@ def test_a_recorder_in_use_is_refused_to_others_unless_taken(running: Target) ->
     running.acquire_configure(["q"], seconds=60.0)
     running.acquire_start()
     with connect("fake") as other:
-        with pytest.raises(Refused, match=f"{running.link.author} is recording.*--take"):
+        own = rf"another connection of your own process \({running.link.author}\) is recording"
+        with pytest.raises(Refused, match=f"{own}.*--take"):
             other.acquire(["q"], 0.05)
         assert len(other.acquire(["q"], 0.05, take=True)) == 50
 

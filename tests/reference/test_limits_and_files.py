@@ -5,6 +5,7 @@ from one registry.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -347,3 +348,20 @@ def test_the_example_in_the_help_of_each_kind_runs(
     assert words[:3] == ["zendsp", "reference", kind]
     said = CliRunner().invoke(command, words[2:])
     assert said.exit_code == 0 and (tmp_path / f"{kind}.png").exists(), said.output
+
+
+def test_a_table_is_no_reference_and_how_one_is_made_of_it_is_said(tmp_path: Path) -> None:
+    """SciPy's word was told: a MAT file that appears to be truncated."""
+    table = tmp_path / "bad.csv"
+    table.write_text("t,q1\n0,0\n1,1\n")
+    with pytest.raises(ReferenceError_, match=f"from_file --path {table} -o motion.mat"):
+        load_reference(table)
+
+
+def test_one_number_for_several_joints_is_said_to_be_that_of_each(
+    typed: Callable[..., tuple[object, str, str]],
+) -> None:
+    goal = "--goal 0.5 is taken for each of the 2 joints; a number of its own for each is written"
+    words = "reference", "point_to_point", "--machine", "imi_planar", "--goal"
+    assert typed(*words, "0.5")[2] == f"zendsp: {goal} --goal Q1,Q2\n"
+    assert typed(*words, "0.5,0.2")[2] == ""

@@ -12,6 +12,9 @@ from zendsp.link import ParameterSet, Target
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Form, Message, Sliders
 from zendsp.tui.dialogs.sliders import NAME, Slider
+from zendsp.tui.snapshot import Variable
+from zendsp.tui.values import reader
+from zendsp_protocol.states import VariableKind
 
 
 @pytest.mark.covers(
@@ -213,3 +216,14 @@ async def test_sliders_move_parameters_by_key_and_mouse(
         )
         await pilot.press("z")
         await until(pilot, lambda: target[name] == other.variable.initial, "undone")
+
+
+def test_a_whole_number_may_be_written_with_an_exponent() -> None:
+    """1e9 was said to be no whole number, where it was beyond the limit."""
+    rate = Variable("row_rate", "int32", 1, VariableKind.PARAMETER, "1/s", 1, 100000, 1000, "")
+    assert [reader(rate)(text) for text in ("1e3", "0x10", " 7 ", "2.0")] == [1000, 16, 7, 2]
+    for text, why in (("1e9", "outside 1 … 100000"), ("1.5", "is not a whole"), ("x", "is not a")):
+        with pytest.raises(ValueError, match=why):
+            reader(rate)(text)
+    with pytest.raises(ValueError, match="is not a whole number"):
+        reader(rate)("inf")

@@ -157,6 +157,35 @@ async def test_a_long_finding_goes_on_beside_its_label(tmp_path: Path, until: Un
         assert second.startswith(" " * first.index("A spring") + "pulls and")
 
 
+async def test_a_line_that_says_it_all_leaves_no_empty_space_below_the_list(
+    tmp_path: Path, until: Until
+) -> None:
+    """The list was cut in mid-sentence above empty lines."""
+    d = cases.stored(tmp_path / "diagnoses")
+    d.report["unexplained"] = "Joint 1: a torque is missing that " + "nothing known predicts, " * 20
+    async with alone(tmp_path, until, (120, 40)) as (pilot, screen):
+        screen.open(d)
+        lines = screen.query_one("#findings", OptionList)
+        keys = [e.key for e in screen.entries]
+        lines.highlighted = keys.index("unexplained")
+        await until(pilot, lambda: not screen.query_one("#detail").is_on_screen, "it is hidden")
+        assert lines.max_scroll_y == 0, "all of the list is seen"
+        lines.highlighted = keys.index("unseen")
+        await until(pilot, lambda: screen.query_one("#words").is_on_screen, "it has more to say")
+
+
+async def test_where_nothing_is_named_nothing_is_said_of_what_a_torque_cannot_cancel(
+    tmp_path: Path, until: Until
+) -> None:
+    d = cases.stored(tmp_path / "diagnoses", verdict="complete")
+    async with alone(tmp_path, until, (120, 40)) as (pilot, screen):
+        screen.open(d)
+        assert screen.entries[-1].text.plain.endswith("nothing is named that a torque could cancel")
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(pilot.app.screen, Message), "c says so")
+        assert "Nothing is named that a torque could cancel." in dialog_words(pilot)
+
+
 @pytest.mark.covers("diagnose.cancel")
 async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch

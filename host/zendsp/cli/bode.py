@@ -7,7 +7,14 @@ from typing import Literal
 
 import click
 
-from zendsp.cli.common import emit, open_target, out_option, progress, target_options
+from zendsp.cli.common import (
+    announcing,
+    emit,
+    open_target,
+    out_option,
+    progress,
+    target_options,
+)
 from zendsp.cli.completing import variables
 from zendsp.cli.progress import drawing
 from zendsp_protocol.views import text_table
@@ -68,16 +75,18 @@ def command(
             raise click.BadParameter(f"{path}: must end in {' or '.join(kinds)}")
     quantity: Literal["position", "torque"] = "torque" if torque else "position"
     seconds = (periods + 1) / f_min if f_min > 0.0 else 0.0
-    with open_target(target, connect, moves=True) as t:
+    with (
+        open_target(target, connect, moves=True) as t,
+        progress("measuring", seconds, as_json) as tell,
+    ):
         if amplitude is None:
             amplitude, unit = usual_amplitude(t.machine(), t.limits(), joint, quantity)
-            click.echo(f"joint {joint} swings by {amplitude:g} {unit}", err=True)
-        with progress("measuring", seconds, as_json) as tell:
-            found = frequency_response(
-                t, joint=joint, f_min=f_min, f_max=f_max, lines=lines, amplitude=amplitude,
-                quantity=quantity, input=input, output=output, periods=periods,
-                rehearsed=not no_rehearsal, progress=tell,
-            )  # fmt: skip
+            tell = announcing(f"joint {joint} swings by {amplitude:g} {unit}", tell)
+        found = frequency_response(
+            t, joint=joint, f_min=f_min, f_max=f_max, lines=lines, amplitude=amplitude,
+            quantity=quantity, input=input, output=output, periods=periods,
+            rehearsed=not no_rehearsal, progress=tell,
+        )  # fmt: skip
     header = ["f [Hz]", "dB", "deg", "± dB", "± deg", "coherence"]
     shown = text_table(header, shown_lines(found.rows()))
     emit(found.rows(), as_json, f"{shown}\n{found.summary()}")

@@ -342,3 +342,17 @@ def progress(what: str, expected_s: float, as_json: bool) -> Iterator[Callable[[
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
+
+
+def announcing(words: str, tell: Callable[[float], None]) -> Callable[[float], None]:
+    """``tell``, which at its first call says on standard error what the command will do: by then
+    all is checked that could refuse it.
+    """
+    left = [words]
+
+    def told(fraction: float) -> None:
+        if left:
+            click.echo(left.pop(), err=True)
+        tell(fraction)
+
+    return told

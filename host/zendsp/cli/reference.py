@@ -181,6 +181,20 @@ def _default_text(parameter: Any) -> str:
     )
 
 
+def _say_of_all(kind: Any, chosen: dict[str, str], joints: int) -> None:
+    """Say that one number is taken for each of several joints."""
+    for parameter in kind.parameters:
+        value = chosen.get(parameter.name, "")
+        if joints > 1 and parameter.type == "joints" and value and "," not in value:
+            option = f"--{parameter.name.replace('_', '-')}"
+            each = ",".join(f"Q{j + 1}" for j in range(joints))
+            click.echo(
+                f"zendsp: {option} {value} is taken for each of the {joints} joints; a number of"
+                f" its own for each is written {option} {each}",
+                err=True,
+            )
+
+
 def _make_command(kind: Any) -> click.Command:
     """The subcommand of one kind, with an option for each of its parameters."""
 
@@ -199,6 +213,7 @@ def _make_command(kind: Any) -> click.Command:
             one for one in map(load_machine, MACHINES) if kind.fits(one)
         )
         chosen = {name: value for name, value in given.items() if value is not None}
+        _say_of_all(kind, chosen, machine.joints)
 
         def make() -> Any:
             return make_reference(kind.name, machine, sample_time=sample_time, **chosen)

@@ -51,7 +51,8 @@ def command(
             emit({"sequence": t.write(**values)}, as_json)
             return
         tick = t.fade(fade, **values) if fade else t.update(None, **values)
-        emit({"tick": tick, "values": values}, as_json, f"{', '.join(values)} set at sample {tick}")
+        at = f"at sample {tick}, the end of the fade" if fade else f"at sample {tick}"
+        emit({"tick": tick, "values": values}, as_json, f"{', '.join(values)} set {at}")
         _see_it_act(t, tick)
 
 

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import emit, open_target, out_option, progress, target_options
+from zendsp.cli.common import (
+    announcing,
+    emit,
+    open_target,
+    out_option,
+    progress,
+    target_options,
+)
 from zendsp.errors import ZendspError
 from zendsp_protocol.views import text_table
 
@@ -74,12 +81,11 @@ def command(
         raise click.BadParameter(f"{out}: a sweep is written as .csv", param_hint="--out")
     reached: list[Sweep] = []
     with open_target(target, connect, moves=True) as t:
-        click.echo(said, err=True)
         try:
             with progress("sweep", 2.0, as_json) as tell:
                 found = sweep(t, tried, channels, seconds=seconds, settle=settle, fade=fade,
-                              measures=measures, together=together, keep=keep, progress=tell,
-                              on_run=reached.append)  # fmt: skip
+                              measures=measures, together=together, keep=keep,
+                              progress=announcing(said, tell), on_run=reached.append)  # fmt: skip
         except (KeyboardInterrupt, ZendspError):  # what was measured until then is not lost
             if reached:
                 _tell(reached[-1], out, as_json)

@@ -91,7 +91,7 @@ def frequency_response(
     rehearsed : bool
         Try it on a simulated twin first, where the clock is real.
     progress : callable, optional
-        Called with the fraction done.
+        Called with the fraction done; first, with 0, once all is checked.
 
     Returns
     -------
@@ -108,14 +108,17 @@ def frequency_response(
     given = input or _first(infos, joint, "r" if quantity == "position" else "tau")
     found = output or _first(infos, joint, "q")
     rate = target.info.rate_hz
-    samples = round(rate / f_min)
-    harmonics = choose_lines(samples, f_max / f_min, lines, rate)
+    samples = round(rate / f_min) if f_min > 0.0 else 0
+    harmonics = choose_lines(samples, f_max / f_min if samples else 0.0, lines, rate)
     if periods < 2:
         raise AcquisitionError(f"periods = {periods}: at least 2, to tell what repeats")
     if amplitude is None:
         amplitude, _ = usual_amplitude(target.machine(), target.limits(), joint, quantity)
     if not 0.0 < amplitude < math.inf:
         raise AcquisitionError(f"amplitude = {amplitude:g}: expected more than 0 rad (m, N m, N)")
+    target.recorder.need_channels([given, found], target.status())
+    if progress is not None:
+        progress(0.0)
     power = 1 if quantity == "position" else 0
     recording, first = play(
         target,

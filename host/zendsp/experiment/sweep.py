@@ -87,7 +87,7 @@ def sweep(
     keep : path, optional
         New or empty folder in which every recording is kept as ``001.mat``, ….
     progress : callable, optional
-        Called with the fraction done.
+        Called with the fraction done; first, with 0, once all is checked.
     on_run : callable, optional
         Called after each run with the sweep as far as it came: what is left of it where Ctrl-C or
         an error ends it.
@@ -99,8 +99,8 @@ def sweep(
     Raises
     ------
     VariableError
-        A value that the program refuses: unknown, read only, beyond its limits. All are checked
-        before the first run.
+        A value that the program refuses: unknown, read only, beyond its limits. All values and
+        channels are checked before the first run.
     AcquisitionError
         Nothing to try, an unknown measure, no such channel, or ``keep`` holds the recordings of
         another sweep.
@@ -113,6 +113,7 @@ def sweep(
         )
     for run in runs:
         target.request("check", values=dict(run))
+    target.recorder.need_channels(channels, target.status())
     infos = target.variables()
     folder = Path(keep) if keep is not None else None
     if folder is not None and (old := sorted(folder.glob("[0-9]*.mat"))):
@@ -134,6 +135,8 @@ def sweep(
         return Sweep(tuple(values), tuple(names), *found, why, units, len(runs), best)
 
     best, count = 0, len(runs) + (AGAIN if len(runs) > 1 else 0)
+    if progress is not None:
+        progress(0.0)
     with kept(target, values, fade=fade):
         for number in range(1, count + 1):
             if number == len(runs) + 1:

@@ -129,7 +129,7 @@ class Recorder(Transfers):
         _check_seconds(seconds)
         status: m.Status = self.request("status")
         if status.state != ProgramState.RUNNING and not start:
-            self._need_channels(channels, status)
+            self.need_channels(channels, status)
             raise Refused(
                 f"nothing to record: the program is {status.state}; start it first, or with the"
                 " recording (--start, start=True)"
@@ -159,8 +159,14 @@ class Recorder(Transfers):
                 error.add_note("rows recorded until then are kept: acquire_load() brings them home")
             raise
 
-    def _need_channels(self, channels: Sequence[str], status: m.Status) -> None:
-        """Refuse a channel that does not exist, whatever state the program is in."""
+    def need_channels(self, channels: Sequence[str], status: m.Status) -> None:
+        """Refuse a channel that does not exist, whatever state the program is in.
+
+        Raises
+        ------
+        AcquisitionError
+            No such channel.
+        """
         if status.state == ProgramState.EMPTY:
             return
         try:

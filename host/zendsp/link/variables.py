@@ -47,6 +47,19 @@ class Reading(msgspec.Struct, frozen=True):
         )
 
 
+def _check_name(name: object) -> None:
+    """Refuse what is no name of one variable, and say what to write."""
+    if isinstance(name, str):
+        return
+    if isinstance(name, tuple) and name and all(isinstance(one, str) for one in name):
+        listed, named = ", ".join(map(repr, name)), ", ".join(f"{one}=…" for one in name)
+        raise VariableError(
+            f"target[{listed}]: in brackets is one name; several of one sample:"
+            f" target.read([{listed}]), target.update({named})"
+        )
+    raise VariableError(f"target[{name!r}]: expected the name of a variable, such as target['Kp1']")
+
+
 def _after(ended: str) -> str:
     return f"; the program has ended: {ended}" if ended else ""
 
@@ -79,6 +92,8 @@ class Variables(Part):
         VariableError
             No such variable.
         """
+        if type(name) is not str:
+            _check_name(name)
         reading = self.read([name])
         if reading.ended:
             last = "as it was set last" if self._is_set(name) else "that of its last sample"
@@ -107,6 +122,8 @@ class Variables(Part):
         VariableError
             Unknown, read only, of another type, outside its limits or NaN; nothing was changed.
         """
+        if type(name) is not str:
+            _check_name(name)
         self.write(**{name: value})
 
     def read(self, names: Sequence[str]) -> Reading:

@@ -119,6 +119,11 @@ def load_reference(path: str | Path) -> Reference:
     3
     """  # noqa: E501
     file = Path(path).expanduser()
+    if file.is_file() and file.suffix.lower() != ".mat":
+        raise ReferenceError_(
+            f"{file}: a reference is a .mat file that 'zendsp reference' or Reference (F4) wrote; a"
+            f" table is made one of by: zendsp reference from_file --path {file} -o motion.mat"
+        )
     data = _read_mat(file)
     if str(data.get("format", "")) != FORMAT:
         raise ReferenceError_(

@@ -66,6 +66,17 @@ def differs(a: Any, b: Any) -> bool:
     return not np.array_equal(np.ravel(a), np.ravel(b), equal_nan=False)
 
 
+def _whole(word: str) -> int:
+    """A whole number, however it is written: 1000, 0x3e8, 1e3."""
+    try:
+        return int(word, 0)
+    except ValueError:
+        value = float(word)
+        if not value.is_integer():
+            raise
+        return int(value)
+
+
 def _scalar(variable: Variable, text: str) -> Any:
     word = text.strip().lower()
     if variable.type == "bool":
@@ -76,8 +87,8 @@ def _scalar(variable: Variable, text: str) -> Any:
         raise ValueError(f"{text!r} is neither true nor false")
     if variable.type == "int32":
         try:
-            value: float = int(word, 0)
-        except ValueError:
+            value: float = _whole(word)
+        except (ValueError, OverflowError):
             raise ValueError(f"{text!r} is not a whole number{number_hint(text)}") from None
     else:
         try:

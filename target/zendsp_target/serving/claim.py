@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -50,8 +51,10 @@ class Claim:
             return
         waits = not self._home and time.monotonic() - self._asked < HELD_S
         if waits or self._recorder().state in GOING:
+            own = _process(owner) == _process(by)
+            who = f"another connection of your own process ({owner})" if own else owner
             raise Refused(
-                f"{owner} is recording; wait, or take the recorder over: acquire(…, take=True)"
+                f"{who} is recording; wait, or take the recorder over: acquire(…, take=True)"
                 " or 'zendsp acquire --take'"
             )
 
@@ -92,3 +95,8 @@ class Claim:
         """Free a recording that its host has brought home."""
         if by == self.owner and self._recorder().state not in GOING:
             self._home = True
+
+
+def _process(host: str) -> str:
+    """User, computer and process of a connection: its name without the number of the connection."""
+    return re.sub(r"(:\d+)\.\d+$", r"\1", host)

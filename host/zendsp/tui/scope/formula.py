@@ -84,7 +84,9 @@ class Formula:
                 raise FormulaError(f"no signal {missing[0]!r}; c lists them")
             if name in units:
                 raise FormulaError(f"{name} is a signal of the program: take another name")
-        _build(tree)  # refuses what no curve can be made of
+        made = _build(tree)(_probe(names))  # refuses what no curve can be made of
+        if not np.isfinite(made).any():
+            raise FormulaError(f"{expression!r} is no number, whatever the signals are")
         if unit is None:
             unit = _unit(tree, units or {}) or ""
         return cls(name, unit.strip(), expression, names)
@@ -92,6 +94,14 @@ class Formula:
     def begin(self) -> Step:
         """A function from blocks of rows to values, which keeps its state between blocks."""
         return _build(_parse(self.expression))
+
+
+def _probe(names: Sequence[str]) -> Block:
+    """Rows with small and large values of both signs, other ones for each signal."""
+    size = np.geomspace(1e-3, 1e3, 24)
+    values = np.concatenate((size, -size))
+    block: dict[str, Floats] = {TIME: np.linspace(0.0, 0.05, len(values))}
+    return block | {name: np.roll(values, 7 * k) + 1e-3 * k for k, name in enumerate(names)}
 
 
 def _parse(expression: str) -> ast.expr:

@@ -227,6 +227,7 @@ class DiagnoseScreen(GivenActions, LoopActions):
 
     def _show_nothing(self) -> None:
         self.shown, self.entries = None, []
+        self.query_one("#found").remove_class("-said")
         self.query_one("#findings", OptionList).clear_options()
         self.query_one("#verdict", Static).update("")
         self.query_one("#words", Static).update("")
@@ -259,6 +260,8 @@ class DiagnoseScreen(GivenActions, LoopActions):
         entry = next((e for e in self.entries if e.key == event.option.id), None)
         if entry is None:
             return
+        more = entry.key == LOOP or entry.chart is not None or bool(entry.words)
+        self.query_one("#found").set_class(not more, "-said")  # the line says it all
         if entry.key == LOOP:
             self._detail("loop")
             self.follow_loop()

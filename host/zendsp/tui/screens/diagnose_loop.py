@@ -107,6 +107,8 @@ class LoopActions(LabScreen):
         if self._acts(s) and (c is None or not c.fits(names) or not c.acts(s.values)):
             what = "nothing to cancel" if c is None or not c.values else "not of this diagnosis"
             return Standing.OTHER, f"{what}; the compensation in the program is on; c fades it out"
+        if self.shown is not None and not self.shown.report["findings"]:
+            return Standing.NOTHING, "nothing is named that a torque could cancel"
         if c is None or not c.values:
             return Standing.NOTHING, "nothing of it can be cancelled by a torque (c says why)"
         if not names:
@@ -198,7 +200,9 @@ class LoopActions(LabScreen):
         state, words = self._standing(s)
         if state == Standing.NOTHING or c is None:
             left_out = "\n".join(c.left_out) if c else ""
-            text = left_out or "Nothing of it can be cancelled by a torque."
+            named = self.shown is None or bool(self.shown.report["findings"])
+            nothing = "Nothing of it can be cancelled by a torque." if named else f"{words}."
+            text = left_out or f"{nothing[:1].upper()}{nothing[1:]}"
             self.app.push_screen(Message("Compensation", Text(text)))
         elif state == Standing.NO_PROGRAM:
             self.say(words, "warning")
