@@ -24,6 +24,7 @@ from zendsp.errors import AcquisitionError, Refused
 from zendsp.experiment.excite import play
 from zendsp.experiment.response import Complex, Floats, FrequencyResponse
 from zendsp.link import Target
+from zendsp.link.transfer import need_channels
 from zendsp.prompt import shows_progress
 from zendsp.recording.notes import ResponseNote
 from zendsp.reference.crest import low_crest_phases
@@ -116,7 +117,7 @@ def frequency_response(
         amplitude, _ = usual_amplitude(target.machine(), target.limits(), joint, quantity)
     if not 0.0 < amplitude < math.inf:
         raise AcquisitionError(f"amplitude = {amplitude:g}: expected more than 0 rad (m, N m, N)")
-    target.recorder.need_channels([given, found], target.status())
+    need_channels(target.request, [given, found], target.status())
     if progress is not None:
         progress(0.0)
     power = 1 if quantity == "position" else 0

@@ -15,6 +15,7 @@ from zendsp.errors import AcquisitionError, VariableError, ZendspError
 from zendsp.experiment.sweep_result import Sweep, SweepRun, short
 from zendsp.link import Target
 from zendsp.link.put_back import kept
+from zendsp.link.transfer import need_channels
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording
 from zendsp.recording.names import split_element
@@ -113,7 +114,7 @@ def sweep(
         )
     for run in runs:
         target.request("check", values=dict(run))
-    target.recorder.need_channels(channels, target.status())
+    need_channels(target.request, channels, target.status())
     infos = target.variables()
     folder = Path(keep) if keep is not None else None
     if folder is not None and (old := sorted(folder.glob("[0-9]*.mat"))):

@@ -15,13 +15,12 @@ from zendsp.errors import (
     AcquisitionError,
     Refused,
     TooLarge,
-    VariableError,
     ZendspError,
 )
 from zendsp.here.uninterrupted import uninterrupted
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S, Requests
-from zendsp.link.transfer import Transfers, room
+from zendsp.link.transfer import Transfers, need_channels, room
 from zendsp.link.wait_recorded import ENDED, POLL_S, wait_done
 from zendsp.prompt import shows_progress
 from zendsp_protocol import messages as m
@@ -129,7 +128,7 @@ class Recorder(Transfers):
         _check_seconds(seconds)
         status: m.Status = self.request("status")
         if status.state != ProgramState.RUNNING and not start:
-            self.need_channels(channels, status)
+            need_channels(self.request, channels, status)
             raise Refused(
                 f"nothing to record: the program is {status.state}; start it first, or with the"
                 " recording (--start, start=True)"
@@ -158,21 +157,6 @@ class Recorder(Transfers):
                 self._end_ring(begun, 0.0)
                 error.add_note("rows recorded until then are kept: acquire_load() brings them home")
             raise
-
-    def need_channels(self, channels: Sequence[str], status: m.Status) -> None:
-        """Refuse a channel that does not exist, whatever state the program is in.
-
-        Raises
-        ------
-        AcquisitionError
-            No such channel.
-        """
-        if status.state == ProgramState.EMPTY:
-            return
-        try:
-            self.request("read", names=[channels] if isinstance(channels, str) else list(channels))
-        except VariableError as error:
-            raise AcquisitionError(str(error)) from None
 
     def _configure_shot(
         self,

@@ -9,16 +9,17 @@ work for both processes.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zendsp.errors import AcquisitionError, LinkError, Refused
+from zendsp.errors import AcquisitionError, LinkError, Refused, VariableError
 from zendsp.link.requests import PATIENCE_S, Part, Requests
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, KERNEL, folded_crc, gaps, spans
 from zendsp_protocol.lazily import Lazily
+from zendsp_protocol.states import ProgramState
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,6 +34,24 @@ REQUEST_BYTES = 128 << 20  # rows asked for at once: what is lost at most when t
 CHUNK_BYTES = CHUNK
 PIECE_BYTES = 16 << 20  # read at once from shared memory: progress is told in between
 MOST_IDLE = 3  # requests in a row without a single row, until it is given up
+
+
+def need_channels(
+    request: Callable[..., Any], channels: str | Sequence[str], status: m.Status
+) -> None:
+    """Refuse a channel that does not exist, whatever state the program is in.
+
+    Raises
+    ------
+    AcquisitionError
+        No such channel.
+    """
+    if status.state == ProgramState.EMPTY:
+        return
+    try:
+        request("read", names=[channels] if isinstance(channels, str) else list(channels))
+    except VariableError as error:
+        raise AcquisitionError(str(error)) from None
 
 
 def room(rows: int, columns: int) -> FloatArray:
