@@ -37,7 +37,6 @@ from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
 from zendsp_protocol.states import LATCHED, DriveAction
 
-SCREEN = "zendsp.tui.screens.{name}"  # module of a screen
 READ_S = 1.0  # that a message stays, whatever is typed
 LEAVE_S = 10  # within which a signal ends the process, whatever hangs
 PUT_BACK_S = 5.0  # for a run that was stopped to put back what it has set
@@ -111,7 +110,7 @@ class ZendspApp(TypeAhead):
     def _kept(self, name: str) -> LabScreen:
         """The screen of a mode; it is made, and what it needs is loaded, when it is first shown."""
         if name not in self._screens:
-            module = import_module(SCREEN.format(name=name))
+            module = import_module(f"zendsp.tui.screens.{name}")
             self._screens[name] = getattr(module, f"{name.capitalize()}Screen")()
         return self._screens[name]
 
@@ -154,7 +153,7 @@ class ZendspApp(TypeAhead):
 
     def _first_picture(self) -> None:
         self._mark_picture()
-        self.run_worker(self._build_others(), group="screens")
+        self.call_later(self._build_others)
 
     def _mark_picture(self) -> None:
         if self._marked:
@@ -168,27 +167,13 @@ class ZendspApp(TypeAhead):
 
     async def _build_others(self) -> None:
         """Build the other screens after the first picture, so that none has to be built when its
-        key is pressed. Keys, clicks and the word of a STOP come in between: what a screen needs is
-        loaded on a thread, and each is built in a turn of its own.
+        key is pressed.
         """
-        for name in SCREENS:
-            await self._load(name)
-            built = asyncio.Event()
-            self.call_later(self._build, name, built)
-            await built.wait()
-
-    async def _load(self, name: str) -> None:
-        """Load the module of a screen, on a thread: some take a second of the processor."""
-        if name not in self._screens:
-            await asyncio.to_thread(import_module, SCREEN.format(name=name))
-
-    async def _build(self, name: str, built: asyncio.Event) -> None:
         shown = self.current_mode
-        if name not in self._screens:
-            with self.batch_update():
+        with self.batch_update():
+            for name in SCREENS:
                 await self.switch_mode(name)
-                await self.switch_mode(shown)
-        built.set()
+            await self.switch_mode(shown)
 
     def on_unmount(self) -> None:
         self.session.close()
@@ -252,7 +237,6 @@ class ZendspApp(TypeAhead):
     async def action_show(self, name: str) -> None:
         """Show a screen; not while a dialog waits for an answer."""
         if not isinstance(self.screen, ModalScreen) and self.current_mode != name:
-            await self._load(name)
             await self.switch_mode(name)
 
     def action_help(self) -> None:
