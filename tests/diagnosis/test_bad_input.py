@@ -339,7 +339,10 @@ def test_one_command_for_each_recording_removes_all_times_with_a_hanging_sensor(
     """Such a recording had been refused as two runs glued together, once for each jump."""
     columns = {k: v.copy() for k, v in good.items()}
     hung(columns)
-    paths = [reality.save(tmp_path / f"{name}.csv", columns) for name in ("one", "two")]
+    paths = [
+        reality.save(tmp_path / f"{name}.csv", {k: v[first:] for k, v in columns.items()})
+        for first, name in enumerate(("one", "two"))
+    ]
     said = refuse(*paths, "--model", model)
     assert "glued" not in said and said.count("for 60 rows from row ") == 4, said
     commands = re.findall(r"'zendsp (cut .*?)'", said)

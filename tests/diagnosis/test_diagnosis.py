@@ -236,8 +236,9 @@ def test_wrong_term_of_the_given_model_is_replaced(run: Run) -> None:
     told = "It stands in the place of the given model's term viscous (fluid friction)."
     assert told in d.findings[0].sentence
     # what the search took on its way is none of the given model's terms
-    claim: Any = SimpleNamespace(replaces=("viscous", "creep"))
-    assert naming._replaced(d.given, claim, 1) == ("viscous",)
+    claim: Any = SimpleNamespace(replaces=("viscous", "creep"), mechanism="fluid_friction")
+    whole: Any = None
+    assert naming._replaced(d.given, whole, claim, 1) == ("viscous",)
     assert {t.effect for t in d.improved.terms} == {"quadratic_drag", "coulomb"}
 
 

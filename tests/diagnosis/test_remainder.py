@@ -151,7 +151,8 @@ def test_torque_over_the_places_of_several_joints_is_not_put_down_to_its_own_alo
     term, evidence = Term("unknown", 3, {}), Evidence(9, 9, np.ones(2))
     claim = Claim("unknown", "position_torque", term, 0.3, evidence, 9, {}, (), (), ())
     decision: Any = SimpleNamespace(joint=3, scale=1.0, strap=())
-    assert said in naming._unknown(given, decision, claim, 0.5, [rows]).sentence
+    whole: Any = None
+    assert said in naming._unknown(given, decision, whole, claim, 0.5, [rows]).sentence
 
 
 @pytest.mark.parametrize(("kind", "said"), [("planar2r", True), ("rotary", False)])
