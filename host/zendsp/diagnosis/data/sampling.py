@@ -239,7 +239,7 @@ def _jittering(name: str, time: Array, period: float) -> Clock:
     padded = np.concatenate([[np.inf], step, [np.inf]])
     beside = step + np.minimum(padded[:-2], padded[2:])
     lacks = (whole > 1) & (np.round(beside / period) > MOST_OF_TWO)
-    lacks &= step > period + A_ROW_LATE * 1.4826 * np.median(np.abs(step - period))
+    lacks &= step > period + A_ROW_LATE * np.median(np.abs(step - period)) / MEDIAN
     spread = float(np.std(step[~lacks])) / period
     missing = int(np.sum(whole - 1, where=lacks, initial=0.0))
     if missing and spread < EVEN:

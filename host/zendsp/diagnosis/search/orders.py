@@ -78,7 +78,7 @@ def between(records: Sequence[JointRecord], series: Sequence[Array]) -> list[flo
     speeds: it need not stand out of its neighbours, but is the highest.
     """
     apart = _apart(records)
-    if records[0].slides or apart > 0.5:
+    if records[0].slides or apart > 0.5:  # of the way from one whole order to the next
         return []
     fine = 0.5 * apart
     begin = math.ceil(LEAST_ORDER / fine)
