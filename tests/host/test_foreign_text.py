@@ -10,7 +10,7 @@ import pytest
 from zendsp.diagnosis import diagnose
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
-from zendsp.recording.formats import csv
+from zendsp.recording.formats import cells, csv
 from zendsp.recording.roles import Role, role_of
 
 
@@ -320,7 +320,7 @@ def test_a_long_text_is_read_in_pieces_to_the_same_numbers(
     lines = [row.format(t=0.1 * k, q=(-1.0) ** k / (k + 1)) for k in range(300)]
     file.write_text("\n".join([head, *lines, "", ""]))
     at_once = read_table(file)
-    monkeypatch.setattr(csv, "READ", 100)
+    monkeypatch.setattr(cells, "READ", 100)
     shares: list[float] = []
     in_pieces = read_table(file, progress=shares.append)
     for name, values in at_once.columns.items():
@@ -332,7 +332,7 @@ def test_a_long_text_is_read_in_pieces_to_the_same_numbers(
 def test_a_short_line_far_down_in_a_long_text_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(csv, "READ", 100)
+    monkeypatch.setattr(cells, "READ", 100)
     file = tmp_path / "long.csv"
     lines = [f"{0.1 * k},{k}" for k in range(300)]
     for wrong in ("29.9", "29.9,1,2", "29.9,x"):
@@ -348,7 +348,7 @@ def test_a_short_line_far_down_in_a_long_text_is_named(
 def test_a_diagnosis_tells_the_share_of_a_long_file_that_it_has_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(csv, "READ", 2000)
+    monkeypatch.setattr(cells, "READ", 2000)
     file = tmp_path / "still.csv"
     file.write_text("\n".join(["t,q,u", *(f"{0.01 * k:.2f},1,0" for k in range(500))]))
     model = {"sample_time": 0.01, "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}}

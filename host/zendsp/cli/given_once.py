@@ -47,7 +47,7 @@ def _words(option: click.Parameter, args: list[str]) -> str:
         head, joined, value = word.partition("=")
         if head in option.opts:
             given.append(value if joined else after)
-    from zendsp.recording.formats.csv import is_number  # only where a command is refused
+    from zendsp.recording.formats.cells import is_number  # only where a command is refused
 
     listed = isinstance(option.type, click.types.StringParamType) and all(map(is_number, given))
     return f"{name} is given more than once and takes one value" + (

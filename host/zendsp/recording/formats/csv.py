@@ -19,18 +19,17 @@ import csv
 import gzip
 import io
 import re
-import shlex
 import zlib
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zendsp.errors import RecordingError
+from zendsp.recording.formats.cells import is_number, is_value, numbers
 from zendsp.recording.formats.raw import Raw, Share, check_room
-from zendsp.recording.names import FloatArray, split_quotients, split_unit
+from zendsp.recording.names import split_quotients, split_unit
 from zendsp.recording.units import to_si
 from zendsp_protocol.texts import counted
 
@@ -39,26 +38,14 @@ if TYPE_CHECKING:
 
 MARK = "# zendsp "
 PIECE = 1 << 26  # bytes that are unpacked at a time
-READ = 1 << 24  # characters that become numbers at a time
 TITLE = "# A recording of zendsp"
-THOUSANDS = re.compile(r"(?<!\d)[1-9]\d{0,2}(\.\d{3})+,\d")  # 1.234,5: nothing else is written so
-NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
 # "0,5" in quotes; "1,234" may have its comma between thousands
 QUOTED_COMMA = re.compile(r'" *[+-]?(?:0,\d|\d+,(?!\d{3}\D))')
-# 01.02.2026, perhaps with 12:00:00: with points the day is first; 01/02/2026 may be both
-DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?![\d.])")
-EITHER_FIRST = re.compile(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}\b")
-VECTOR = re.compile(r"[\[(](.*)[\])]")
-ISO = "2026-02-01 12:00:00.5"
-DAY_S = 86400.0
 # what ROS calls the whole seconds of a time stamp, and the rest beside them
 NANOSECONDS = {"sec": ("nanosec", "nsec"), "secs": ("nsecs", "nanosecs")}
-# cells that stand for a number that is not there, as pandas, Python, spreadsheets and MATLAB say it
-NOTHING = ("", "NA", "N/A", "n/a", "#N/A", "<NA>", "null", "NULL", "None")
 PREFACE = 100  # lines at the most above the header, of which every instrument writes fewer
 HEAD = 1 << 17  # characters in which they are looked for
 ALIKE = 3  # rows of numbers below it that have to part alike
-SHOWN = 40  # characters of a line in a message
 ROSTOPIC = re.compile(r"%time,field\b")  # echo -p: its own time in ns, then the message
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
 WORD = re.compile(r"[^\s\[]+(?:\s*\[[^\]]*\])?")  # a name, perhaps with its unit: t [s]
@@ -136,7 +123,7 @@ def read(path: Path, tell: Share | None = None) -> Raw:
         rows = "\n".join(";".join(cells) for cells in csv.reader(io.StringIO(rows)))
     said_above = f"{counted(passed, 'line')} above the names of the columns passed over"
     raw = Raw({}, units, {}, metadata, notes=(said_above,) * bool(passed))
-    return _stamped(_numbers(path, rows, raw, delimiter, first_line + 1, tell))
+    return _stamped(numbers(path, rows, raw, delimiter, first_line + 1, tell))
 
 
 def _names(comment: str, line: str) -> bool:
@@ -164,7 +151,7 @@ def _preface(body: str) -> int:
     for delimiter in (";", "\t", ","):
         bare = [line.removesuffix(delimiter) for line in lines]
         fields = [next(csv.reader([line], delimiter=delimiter), []) for line in bare]
-        width = [len(cells) if all(map(_is_value, cells)) else 0 for cells in fields]
+        width = [len(cells) if all(map(is_value, cells)) else 0 for cells in fields]
         first = next((k for k, n in enumerate(width) if n > 1), 0)
         named = [k for k in range(first) if len(fields[k]) == width[first]]
         if not named or {*width[first : first + ALIKE]} != {width[first]}:
@@ -173,12 +160,6 @@ def _preface(body: str) -> int:
         if named[0] == first - 1 or (named == [first - 2, first - 1] and units):
             return named[0]
     return 0
-
-
-def _is_value(cell: str) -> bool:
-    """Whether a cell can stand below a header: a number, a date or time, or nothing."""
-    text = _year_first(cell.strip().strip('"'))
-    return text in NOTHING or is_number(text.replace(",", ".")) or _seconds([text]) is not None
 
 
 def _stamped(raw: Raw) -> Raw:
@@ -206,9 +187,9 @@ def _by_blanks(header: str, row: str) -> list[str]:
     empty of any other.
     """
     names = [word.replace(" ", "") for word in WORD.findall(header)]
-    numbers = row.replace(",", ".").split()
-    same = len(names) == len(numbers) > 1 and not any(d in header for d in ";\t,")
-    return names if same and all(map(is_number, numbers)) else []
+    values = row.replace(",", ".").split()
+    same = len(names) == len(values) > 1 and not any(d in header for d in ";\t,")
+    return names if same and all(map(is_number, values)) else []
 
 
 def _apart(text: str) -> tuple[str, str]:
@@ -292,211 +273,3 @@ def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
     ):
         return []
     return ["" if cell in ("-", "1") else cell for cell in cells]
-
-
-def _numbers(
-    path: Path, rows: str, raw: Raw, delimiter: str, first_line: int, tell: Share | None
-) -> Raw:
-    """The columns of the file whose names are the keys of ``raw.units``."""
-    names = list(raw.units)
-    decimal = _decimal(_year_first(rows[:4096]), delimiter)
-    if not rows.strip():
-        raise RecordingError(f"{path}: has column names but no rows")
-    text = _pointed(_year_first(rows)) if decimal == "," else rows
-    try:
-        table = _table(text, delimiter, tell)
-        if table.shape[1] != len(names):
-            raise ValueError(
-                f"{counted(table.shape[1], 'column')} where the header names {len(names)}"
-            )
-    except ValueError as error:  # empty cells, words for NaN, dates and text are read one by one
-        rows = _year_first(rows)
-        text = text if decimal == "," else rows
-        try:
-            return _with_words(text, raw, delimiter)
-        except ValueError:
-            raise _first_fault(path, rows, names, delimiter, decimal, first_line, error) from error
-    columns = {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(names)}
-    return replace(raw, columns=columns)
-
-
-def _year_first(rows: str) -> str:
-    """The rows with dates as ISO 8601 has them."""
-    return DAY_FIRST.sub(lambda d: f"{d[3]}-{int(d[2]):02}-{int(d[1]):02}", rows)
-
-
-def _table(text: str, delimiter: str, tell: Share | None) -> FloatArray:
-    """The numbers of all lines, read in pieces of whole lines; ValueError where any is none."""
-    pieces, at = [], 0
-    piece = len(text) if '"' in text else READ  # a quoted cell may hold a line's end
-    while at < len(text):
-        end = text.find("\n", at + piece) + 1 or len(text)
-        if lines := text[at:end].strip("\n"):
-            pieces.append(
-                np.loadtxt(
-                    io.StringIO(lines), delimiter=delimiter, comments=None, quotechar='"', ndmin=2
-                )
-            )
-        at = end
-        if tell is not None and len(text) > READ:
-            tell(at / len(text))
-    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-
-
-def _decimal(rows: str, delimiter: str) -> str:
-    """The decimal separator: a comma where nothing else explains it, then with points between
-    thousands (1.234,5); else a point.
-    """
-    if delimiter == "," or "," not in rows:
-        return "."
-    whole = rows[: rows.rfind("\n")] or rows
-    return "," if "." not in rows or _parts_thousands(whole) else "."
-
-
-def _parts_thousands(text: str) -> bool:
-    return bool(THOUSANDS.search(text)) and not NO_THOUSANDS.search(text)
-
-
-def _pointed(text: str) -> str:
-    """Numbers with decimal points, from those with decimal commas and points between thousands."""
-    bare = text.replace(".", "") if _parts_thousands(text) else text
-    return bare.replace(",", ".")
-
-
-def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
-    """All columns. Empty cells, ``NA`` and ``null`` are NaN, dates are seconds, vectors in brackets
-    are arrays, and rows of empty cells are left out; columns of words only are refused. A word
-    among numbers raises ValueError.
-    """
-    names = list(raw.units)
-    lines = csv.reader(io.StringIO(text), delimiter=delimiter)
-    table = [cells for cells in lines if any(cell.strip() for cell in cells)]
-    if any(len(cells) != len(names) for cells in table):
-        raise ValueError("lines of different length")
-    columns, units, refused, notes = {}, dict(raw.units), {}, list(raw.notes)
-    for name, column in zip(names, zip(*table, strict=True), strict=True):
-        cells = ["nan" if c.strip() in NOTHING else c.strip() for c in column]
-        if all(c == "nan" or not is_number(c) for c in cells) and set(cells) != {"nan"}:
-            vectors = _vectors(cells)
-            if vectors is not None:
-                columns[name] = vectors
-                continue
-            seconds = _seconds(cells)
-            if seconds is None:
-                date = EITHER_FIRST.match(cells[0])
-                what = f"dates, of which {ISO} is read" if date else "text"
-                refused[name] = f"holds {what}" if date else "holds text and no numbers"
-                notes.append(f"{name}: left out, it holds {what}")
-                continue
-            if not any(":" in cell for cell in cells):
-                refused[name] = "holds dates without a time of day"
-                notes.append(f"{name}: left out, it holds dates without a time of day")
-                continue
-            notes.append(f"{name}: seconds since {cells[0]}")
-            columns[name], units[name] = seconds, "s"
-        else:
-            columns[name] = np.array([float(c) for c in cells])
-    if not columns:
-        raise ValueError("nothing but text")
-    return replace(raw, columns=columns, units=units, refused=refused, notes=tuple(notes))
-
-
-def _vectors(cells: list[str]) -> FloatArray | None:
-    """The numbers of cells that hold as many each in brackets, ``[0.1, 0.2]`` or ``(0.1, 0.2)``, as
-    pandas writes the arrays of a JointState; None of any others.
-    """
-    inside = [VECTOR.fullmatch(cell) for cell in cells]
-    try:
-        rows = [[float(x) for x in one[1].replace(",", " ").split()] for one in inside if one]
-        return np.array(rows) if len(rows) == len(cells) and rows[0] else None
-    except ValueError:  # words, or more in one than in another
-        return None
-
-
-def _seconds(cells: list[str]) -> FloatArray | None:
-    """Seconds since the first cell, of dates, or times of day, which go on past midnight; None for
-    other cells.
-    """
-    day = "" if "-" in cells[0] else "1970-01-01 "
-    try:
-        times = [datetime.fromisoformat(day + cell) for cell in cells]
-        seconds = np.array([(time - times[0]).total_seconds() for time in times])
-        return np.unwrap(seconds, period=DAY_S) if day else seconds
-    except (ValueError, TypeError):
-        return None
-
-
-def _first_fault(
-    path: Path,
-    rows: str,
-    names: list[str],
-    delimiter: str,
-    decimal: str,
-    first_line: int,
-    error: Exception,
-) -> RecordingError:
-    """The error that names the line which the fast reader refused, and what is wrong with it."""
-    for number, cells in enumerate(csv.reader(io.StringIO(rows), delimiter=delimiter), first_line):
-        above = _where_named(path, rows, delimiter, decimal, number) * (number == first_line)
-        if any("\n" in cell for cell in cells):
-            return RecordingError(
-                f"{path}: line {number}: a quote (\") is opened and not closed: correct it, or"
-                " take it out"
-            )
-        if cells and len(cells) != len(names):
-            line, have = shorten(delimiter.join(cells)), counted(len(cells), "value")
-            return RecordingError(
-                f"{path}: line {number} ({line}) has {have}, parted by {delimiter!r}, where the"
-                f" header names {len(names)}: correct it, or take it out{above}"
-            )
-        for name, cell in zip(names, cells, strict=False):
-            text = _pointed(cell.strip()) if decimal == "," else cell.strip()
-            if text not in NOTHING and not is_number(text):
-                comma = decimal == "," and any(c.isdigit() for c in cell)
-                others = " with a decimal comma, as the others are" * comma
-                return RecordingError(
-                    f"{path}: column {name!r}, line {number}: {cell.strip()!r} is not a"
-                    f" number{others}: correct it, or leave it empty{above}"
-                )
-    return RecordingError(f"{path}: cannot be read as a table of numbers ({error})")
-
-
-def _where_named(path: Path, rows: str, delimiter: str, decimal: str, first_line: int) -> str:
-    """What to do where the line before ``rows`` is no header: the names of the columns stand above
-    the first line of numbers, or above the units there.
-    """
-    lines = csv.reader(io.StringIO(rows), delimiter=delimiter)
-    words: list[list[str]] = []
-    for cells in lines:
-        plain = [_pointed(c.strip()) if decimal == "," else c.strip() for c in cells]
-        if plain and all(map(is_number, plain)):
-            break
-        words.append(plain)
-    else:  # no line of numbers: nothing says where the names are
-        words = []
-    if words and all(map(to_si, words[-1])):
-        words.pop()
-    delete = (
-        f"; if line {first_line - 1} is no header, delete the lines above the names of the columns"
-    )
-    if not words or path.suffix == ".gz":
-        return delete
-    named = first_line - 1 + len(words)
-    return (
-        f"{delete}: if these are line {named} ({shorten(delimiter.join(words[-1]))}), by"
-        f" '{shlex.join(['tail', '-n', f'+{named}', str(path)])} > named.csv'"
-    )
-
-
-def shorten(line: str) -> str:
-    """The beginning of a line of a file, in quotes."""
-    return repr(line if len(line) <= SHOWN else f"{line[:SHOWN]}…")
-
-
-def is_number(text: str) -> bool:
-    """Whether a text is a number as Python writes it."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
