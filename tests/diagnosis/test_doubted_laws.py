@@ -20,7 +20,7 @@ from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.contract import Verdict, nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.decide.nameless import _hardly_varies, by_its_variables, told_apart
-from zendsp.diagnosis.decide.rivals import _late_alike, _likelier, _shared
+from zendsp.diagnosis.decide.rivals import _late_alike, _likelier, _of_alike, _shared
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
@@ -533,3 +533,9 @@ def test_the_named_law_is_among_the_laws_however_unlikely() -> None:
     laws = _shared(["lag", "delay", "coulomb"], np.array([1e-4, 0.9, 0.0999]), "actuator")
     assert set(laws) == {"lag", "delay"} and laws["delay"] > 0.99
     assert sum(laws.values()) == pytest.approx(1.0)
+
+
+def test_a_named_law_is_no_less_probable_than_one_that_it_cannot_be_told_from() -> None:
+    """Nor does it take from a law whose torque is another, or that predicts worse."""
+    of_alike = _of_alike(np.array([0.1, 0.6, 0.25, 0.05]), [False, True, False, True])
+    assert of_alike.tolist() == pytest.approx([0.35, 0.35, 0.25, 0.05])

@@ -75,12 +75,13 @@ def law_of(
     other = [r.effect != term.effect for r in every]
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
     weights = _weights(scores)
-    same, lost, late = [], [], 0
+    same, lost, late, alike = [], [], 0, [False]
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
         stepped = _by_other_steps(parts, final, piece, first, rival, behind)
         late += stepped
         near = stepped or _near(parts, final, piece, first, rival, behind)
+        alike.append(near)
         near |= _late_alike(parts, given, term, rival.effect, behind, first.evidence.gain)
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
@@ -95,6 +96,7 @@ def law_of(
     if _ripples(parts, rounds, final, piece, first):
         same.append("ripple")
     same += sums(term.effect, joint, final.model)
+    weights = _of_alike(weights, alike)
     laws = _shared([term.effect, *[r.effect for r in rivals]], weights, piece.mechanism)
     gone = replaced(given, final.model, term)
     return Claim(
@@ -248,6 +250,16 @@ def _weights(scores: Array) -> Array:
     weight = np.exp(totals)
     weight /= weight.sum(axis=1, keepdims=True)
     return np.asarray(weight.mean(axis=0))
+
+
+def _of_alike(weights: Array, alike: Sequence[bool]) -> Array:
+    """The probabilities with those of laws that predict better than the first, which is named, by
+    torques ``alike`` (they differ by less than what stays unexplained, which may be all that they
+    predict) shared with it.
+    """
+    ahead = np.asarray(alike) & (weights > weights[0])
+    ahead[0] = True
+    return np.where(ahead, np.mean(weights[ahead]), weights)
 
 
 def contains(rival: Rival, term: Term) -> bool:
