@@ -12,7 +12,7 @@ from reality import FAST
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.search.candidates import screened
-from zendsp.diagnosis.search.orders import finest, outstanding
+from zendsp.diagnosis.search.orders import between, finest, outstanding
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.observed import matched, response
 
@@ -60,6 +60,20 @@ def test_a_torque_that_repeats_between_whole_times_a_turn_is_screened_where_turn
         _recorded(size, ripple=0.02, order=7.57), MODEL, 1, only=frozenset({"ripple"})
     )
     assert share > 0.05 and best.terms[0].value("order") == pytest.approx(found, abs=0.15)
+
+
+@pytest.mark.parametrize(("machine", "found"), [({"ripple": 0.02}, 0.45), ({}, None)])
+def test_what_repeats_after_several_turns_of_a_motor_is_screened(
+    machine: dict[str, float], found: float | None
+) -> None:
+    """What turns behind a gear does: two periods in the travel were "none of the known laws"."""
+    data = _recorded(14.0, order=0.45, **machine)
+    ((_, best),) = screened(data, MODEL, 1, only=frozenset({"ripple"}))
+    record = data.records[0][0]
+    waves = between([record], [np.sin(0.45 * record.motion.states[0])])
+    assert waves[0] == pytest.approx(0.45, abs=0.06)
+    if found is not None:
+        assert best.terms[0].value("order") == pytest.approx(found, abs=0.06)
 
 
 def test_an_order_stands_out_where_something_repeats_and_seldom_by_chance() -> None:

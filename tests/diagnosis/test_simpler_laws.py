@@ -224,3 +224,30 @@ def test_a_delay_stands_in_place_of_a_filter_that_only_its_noise_prefers(
     other: Any = SimpleNamespace(deviance=-2500.0 + worse)
     monkeypatch.setattr(simpler_laws, "refitted", lambda *_: other)
     assert simpler_laws._as_delay(found, best, 1) is (other if late else best)
+
+
+@pytest.mark.parametrize(("k", "left"), [(1.5e-3, ["torque_offset"]), (2e-3, [])])
+def test_a_constant_is_not_dropped_for_a_spring_that_cannot_take_it_up(
+    k: float, left: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A constant beside a weak spring is unsure, since the spring's neutral point moves with it.
+    Without it that ran to its bound, three travels away, and was claimed there (0.83).
+    """
+    monkeypatch.setattr(
+        simplification, "vanishes", lambda _fit, term: term.effect == "torque_offset"
+    )
+    columns = reality.simulate(reality.Machine(spring=k), reality.multisine(6.0, RATE, 3), RATE)
+    columns["u"] = columns["u"] + 0.01
+    base = model_of(VISCOUS, COULOMB)
+    calibrated = calibrate_joint(data_of(columns, base), base, 1)
+    constant = {"kind": "torque_offset", "joint": 1, "level": 0.01 - 4.0 * k}
+    spring = {"kind": "stiffness", "joint": 1, "coefficient": k, "neutral": -4.0}
+    both = model_of(VISCOUS, COULOMB, constant, spring)
+    handles = joint_handles(calibrated.data, both, 1)
+    scored = fit_scored(calibrated.data, both, handles, (1,), jobs=1)
+    steps = [
+        Step(Rival(t.effect, 1, scored, 10.0, (t,), ()), (), calibrated) for t in both.at(1)[2:]
+    ]
+    found = JointSearch(1, calibrated, steps, scored)
+    best, _ = simplify(found, informative(calibrated.data, 1), 1)
+    assert [t.effect for t in best.model.at(1)[2:]] == [*left, "stiffness"]

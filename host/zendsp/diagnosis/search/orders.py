@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.calibration.joint import JointRecord
-from zendsp.physics.effects.axes import HARMONICS, LEAST_ORDER
+from zendsp.physics.effects.axes import HARMONICS, LEAST_ORDER, PERIODS
 
 Array = npt.NDArray[np.float64]
 
@@ -75,16 +75,20 @@ def between(records: Sequence[JointRecord], series: Sequence[Array]) -> list[flo
     turn. Parameters as for `outstanding`.
 
     A wave that passes a few times a turn has side lobes, since the joint passes each place at other
-    speeds: it need not stand out of its neighbours, but is the highest.
+    speeds: it need not stand out of its neighbours, but is the highest. What turns behind a gear
+    repeats after several turns of its motor; these orders, among which trends lie, are apart.
     """
     apart = _apart(records)
     if records[0].slides or apart > 0.5:  # of the way from one whole order to the next
         return []
     fine = 0.5 * apart
-    begin = math.ceil(LEAST_ORDER / fine)
-    power = _spectrum(records, series, fine, math.floor(HARMONICS / fine))[begin:]
-    found = (float(fine * (begin + k)) for k in _tops(power))
-    return [n for n in found if abs(n - round(n)) > apart][:PEAKS]
+    slow, first = math.ceil(2 * PERIODS * apart / fine), math.ceil(LEAST_ORDER / fine)
+    power = _spectrum(records, series, fine, math.floor(HARMONICS / fine))
+    found: list[float] = []
+    for begin, end in ((slow, first), (first, len(power))):
+        peaks = [fine * (begin + k) for k in _tops(power[begin:end])]
+        found += [n for n in peaks if abs(n - round(n)) > apart or n < 0.5][:PEAKS]
+    return found
 
 
 def _apart(records: Sequence[JointRecord]) -> float:

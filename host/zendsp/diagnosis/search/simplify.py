@@ -79,9 +79,9 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
             if hopeless(best, model, found.joint, jobs) is not None:
                 continue
             idle = term.effect in added and vanishes(certain, term)
-            least = math.inf if idle else best.deviance + price((term,), n)
-            trial = refitted(best.data, model, found.joint, jobs, 2, least)
-            if trial.deviance < least:
+            least = best.deviance + price((term,), n)
+            trial = refitted(best.data, model, found.joint, jobs, 2, math.inf if idle else least)
+            if trial.deviance < least or (idle and not _runs_off(trial, best)):
                 best = trial
                 if term.effect not in added or term.effect in {
                     t.effect for t in found.base.model.at(found.joint)
@@ -90,6 +90,13 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
                 break
         else:
             return _released(found, best, n, jobs), tuple(dropped)
+
+
+def _runs_off(trial: Scored, best: Scored) -> bool:
+    """Whether a model that has lost a term has a number at its bound that another model has not: it
+    would take up what was lost, and cannot.
+    """
+    return sum(trial.fit.at_bound) > sum(best.fit.at_bound)
 
 
 def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:

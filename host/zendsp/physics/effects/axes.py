@@ -30,13 +30,16 @@ def orders(facts: Facts) -> Sequence[float]:
 
 def order_limits(turn: float, *, whole: bool = True) -> Limits:
     """Repeats within a motion that can be told: ``PERIODS`` of them along an axis; at a rotary
-    joint ``turn`` each turn, and with ``whole`` as many as along an axis where it turns less.
+    joint ``turn`` each turn, and with ``whole`` as many as along an axis where it turns less, and
+    where that are fewer.
     """
 
     def limits(facts: Facts) -> tuple[float, float]:
         span = facts.scale.position
-        part = facts.slides or (whole and span < 2 * math.pi)
-        return PERIODS * 2 * math.pi / span if part else turn, math.inf
+        least = PERIODS * 2 * math.pi / span
+        if facts.slides or (whole and span < 2 * math.pi):
+            return least, math.inf
+        return min(turn, least) if whole else turn, math.inf
 
     return limits
 
