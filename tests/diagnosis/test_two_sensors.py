@@ -26,7 +26,7 @@ from zendsp.diagnosis.transmission.measured import (
     measured_transmissions,
     without_guesses,
 )
-from zendsp.diagnosis.transmission.torque_sensor import Sides, _with_sides, sides_of
+from zendsp.diagnosis.transmission.torque_sensor import Sides, _with_sides, on_both_sides, sides_of
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model, Quantity, Term
@@ -281,6 +281,9 @@ def test_friction_before_and_after_a_torque_sensor_is_told_apart(
     sides = sides_of(Parts(data, data, data), given, 1)
     assert sides is not None and sides.side == side
     (before, _), (after, _) = sides.dry
+    (said,) = on_both_sides([], Parts(data, data, data), given)
+    assert f"dry friction of {before:.2g} ± " in said
+    assert f"N m before it and of {after:.2g}" in said
     assert before == pytest.approx(motor, abs=0.003)  # a tenth: the direction is smoothed
     assert after == pytest.approx(load, abs=0.003)
 

@@ -59,7 +59,7 @@ from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
 from zendsp.diagnosis.transmission.detectable import detectable_transmissions
 from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import said, unseen
-from zendsp.diagnosis.transmission.torque_sensor import sided
+from zendsp.diagnosis.transmission.torque_sensor import on_both_sides, sided
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import CALLED, Model
@@ -242,7 +242,7 @@ def _with_zeros_given(
     notes += [*of_load(found.loads), *moved(given, whole.calibrated if of_held else better)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]
-    notes += off_sensor(parts.test, improved, verdict)
+    notes += _of_sensors(found, findings, improved, verdict)
     notes += [n for e in (own, *others) for n in apart(e, verdict)]
     return Diagnosis(
         verdict=verdict,
@@ -366,6 +366,14 @@ def _by_one_clock(found: Found) -> tuple[Found, list[str]]:
         for d in found.decisions
     ]
     return replace(found, decisions=decisions), [sentence for _, sentence in said]
+
+
+def _of_sensors(
+    found: Found, findings: Sequence[Finding], improved: Model, verdict: Verdict
+) -> list[str]:
+    """Notes on what the sensors beside the position show, and on what the position's one does."""
+    sides = on_both_sides(findings, found.parts, found.bodies.model)
+    return [*sides, *off_sensor(found.parts.test, improved, verdict)]
 
 
 def _unnamed(

@@ -118,8 +118,8 @@ def verdict_sentence(
         return "Complete: nothing is missing that these recordings could show."
     if verdict == Verdict.UNEXPLAINED:
         return (
-            "Unexplained: something is missing that no known effect describes; no physics is"
-            " claimed."
+            "Unexplained: something is missing that no known effect surely describes; no physics"
+            " is claimed."
         )
     return _missing(found)
 

@@ -265,7 +265,8 @@ class Diagnosis:
         ]
         unseen = dark((x.joint, x.interval) for x in self.discrepancy)
         table, left = self.test or self.heldout, self.nameless
-        near = nearest(self.verdict, self.rejected)
+        most = {x.joint: -x.share for x in self.discrepancy}
+        near = sorted(nearest(self.verdict, self.rejected), key=lambda law: most.get(law[1], 0.0))
         text = verdict_sentence(self.verdict, found, unseen, left, near, self.doubted, self.loads)
         errs = max(times_off(e.test.improved, e.noise_floor) for e in self.errors)
         if self.verdict == Verdict.COMPLETE and errs and not (unseen or left or self.doubted):

@@ -151,6 +151,30 @@ def sided(findings: Sequence[Finding], parts: Parts, model: Model) -> tuple[Find
     return tuple(out)
 
 
+def on_both_sides(findings: Sequence[Finding], parts: Parts, model: Model) -> list[str]:
+    """Notes on the friction before and after each torque sensor, of joints where nothing found says
+    it: the model may have all of it, and only one place for it.
+    """
+    out = []
+    told = {f.joint for f in findings if "side" in f.numbers.get("details", {})}
+    for joint in sorted({*range(1, model.joints + 1)} - told):
+        sides = sides_of(parts, model, joint)
+        if sides is None or not sides.side:
+            continue
+        unit = model.torque_unit(joint)
+        speed = "m" if model.joint_kind(joint) == "linear" else "rad"
+        each = [
+            f"{name} friction of {before:.2g} ± {b:.1g} {u} before it and of {after:.2g} ± {a:.1g}"
+            f" {u} after it"
+            for name, ((before, b), (after, a)), u in (
+                ("dry", sides.dry, unit), ("viscous", sides.viscous, f"{unit} s/{speed}"),
+            )
+            if side_of(((before, b), (after, a)))
+        ]  # fmt: skip
+        out.append(f"joint {joint}: by the torque sensor, {' and '.join(each)}")
+    return out
+
+
 def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
     own, name = (sides.viscous, "viscous") if f.mechanism == FLUID else (sides.dry, "dry")
     rubs = f.mechanism in FRICTION and not measured(f)  # that friction is between the sides

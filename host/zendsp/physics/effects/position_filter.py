@@ -29,7 +29,8 @@ EFFECT = Effect(
     ),
     sentence=(
         "The position of joint {joint} is recorded through a low-pass filter with a time "
-        "constant of {time_constant}, computed {computed} (the other way it is half a row apart)."
+        "constant of {time_constant} if it is computed {computed}, and half a row more or less if "
+        "computed otherwise."
     ),
     experiment="Fast motion beside a second sensor, or the unfiltered channel of the drive.",
     equation="T y' + y = q",
