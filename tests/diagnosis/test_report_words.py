@@ -184,7 +184,7 @@ def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() ->
         "Unexplained: something is missing that is most like hysteresis at joint 1, and not surely"
         " that; no physics is claimed."
     )
-    assert "no known effect describes" in verdict_sentence("unexplained", [])
+    assert "no known effect surely describes" in verdict_sentence("unexplained", [])
 
 
 def test_each_joint_that_stays_unexplained_has_a_line_whatever_its_words() -> None:
