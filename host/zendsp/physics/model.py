@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 from xml.etree import ElementTree
@@ -322,7 +322,12 @@ class Model:
 
     def at(self, joint: int) -> tuple[Term, ...]:
         """Effects of one joint (1-based)."""
-        return tuple(term for term in self.terms if term.joint == joint)
+        return self._by_joint.get(joint, ())
+
+    @cached_property
+    def _by_joint(self) -> dict[int, tuple[Term, ...]]:
+        joints = dict.fromkeys(term.joint for term in self.terms)
+        return {j: tuple([term for term in self.terms if term.joint == j]) for j in joints}
 
 
 def position_limits(model: Model, joint: int) -> tuple[float, float]:

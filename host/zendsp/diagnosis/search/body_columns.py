@@ -16,7 +16,9 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.regression import rigid_torques
 from zendsp.diagnosis.search.body_hypotheses import (
+    COM,
     LIMITS,
+    OF_A_LINK,
     OWN_COLUMNS,
     BodyLimits,
     Hypothesis,
@@ -30,7 +32,7 @@ from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Quantity, Term, per_joint
-from zendsp.physics.robots.bodies import NUMBERS, Links, body_terms, change_of, turned_gravity
+from zendsp.physics.robots.bodies import NUMBERS, Links, body_terms, changed_by, turned_gravity
 from zendsp.physics.robots.rigid import SMALL
 
 Array = npt.NDArray[np.float64]
@@ -263,6 +265,7 @@ class Layout:
         self.mechanism = self.zero + self.joints
         self.own = self.mechanism + len(self.keys)
         self.width = self.own + OWN_COLUMNS
+        self._columns: dict[Hypothesis, Array] = {}
 
     def term(self, h: Hypothesis, values: Array) -> Term:
         """The hypothesis as a term of a model."""
@@ -281,15 +284,48 @@ class Layout:
         """Coefficients of the columns, (joints, width). A last number ``gain`` is a common error of
         all actuators.
         """
-        if h.free and h.free[-1] == "gain":
-            x = self.place(replace(h, free=h.free[:-1]), values[:-1])
-            x[:, self.own] += values[-1]
-            return x
-        x = np.zeros((self.joints, self.width))
-        if h.effect in ("payload", "body"):
-            k = h.joint - 1
-            at = NUISANCE + 10 * k
-            x[:, at : at + 10] = change_of(self.term(h, values), self.links.bodies[k])
+        return np.asarray(self.columns(h) @ self.coefficients(h, values))
+
+    def coefficients(self, h: Hypothesis, values: Array) -> Array:
+        """What a hypothesis multiplies its columns by, (c,): its numbers, or of a body the change
+        of its link's ten.
+        """
+        if h.effect not in OF_A_LINK:
+            return values
+        known = dict(zip(h.free, values.tolist(), strict=True))
+        mass, inertia = known.get("mass", 0.0), known.get("inertia", 0.0)
+        com = np.array([known.get(key, 0.0) for key in COM])
+        change = changed_by(h.effect, (mass, com, inertia), self.links.bodies[h.joint - 1])
+        return np.append(change, values[-1]) if "gain" in known else change
+
+    def slopes(self, h: Hypothesis, values: Array, step: float) -> Array:
+        """The derivatives of the coefficients by the numbers, (c, p), over a relative ``step``."""
+        if h.effect not in OF_A_LINK:
+            return np.eye(len(values))
+        here, by = self.coefficients(h, values), step * np.maximum(np.abs(values), 0.1)
+        ahead = (self.coefficients(h, values + e) for e in np.diag(by))
+        return np.stack([(c - here) / width for c, width in zip(ahead, by, strict=True)], axis=1)
+
+    def columns(self, h: Hypothesis) -> Array:
+        """The columns that a hypothesis's coefficients multiply, (joints, width, c)."""
+        if h not in self._columns:
+            out = []
+            own = replace(h, free=h.free[:-1]) if h.free[-1:] == ("gain",) else h
+            for e in np.eye(len(NUMBERS) if h.effect in OF_A_LINK else len(own.free)):
+                out.append(np.zeros((self.joints, self.width)))
+                self._put(out[-1], own, e)
+            if own is not h:
+                out.append(np.zeros((self.joints, self.width)))
+                out[-1][:, self.own] = 1.0
+            nothing = np.zeros((self.joints, self.width, 0))
+            self._columns[h] = np.stack(out, axis=2) if out else nothing
+        return self._columns[h]
+
+    def _put(self, x: Array, h: Hypothesis, values: Array) -> None:
+        """Put the coefficients of a hypothesis into those of all columns, (joints, width)."""
+        if h.effect in OF_A_LINK:
+            at = NUISANCE + 10 * (h.joint - 1)
+            x[:, at : at + 10] = values
         elif h.effect == "base_tilt":
             x[:, [self.tilt + ("angle_x", "angle_y").index(key) for key in h.free]] = values
         elif h.effect == "gravity_scale":
@@ -310,4 +346,3 @@ class Layout:
             x[h.joint - 1, self.own + 3] = values[0]
         elif h.effect == "unknown":
             x[h.joint - 1, self.own :] = values
-        return x

@@ -80,6 +80,7 @@ LIMITS = BodyLimits()
 # further columns of one joint, as rivals of a body: gain, sin q, cos q, q, sin 2q, cos 2q
 OWN_COLUMNS = 6
 COM = ("com_x", "com_y", "com_z")
+OF_A_LINK = ("payload", "body")  # hypotheses about the ten numbers of one link
 # cost of an explanation where several are as good: fewest numbers and most frequent cause first
 COST = {
     "payload": 4.0,

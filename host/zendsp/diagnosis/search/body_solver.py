@@ -5,6 +5,7 @@ by.
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,36 @@ from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, Hyp
 Array = npt.NDArray[np.float64]
 
 LAST_DIGITS = 1e-14  # of a joint's innovations: what is left below is the rounding of their sums
+
+
+@dataclass(frozen=True)
+class _Squares:
+    """The sum of squares that a fit leaves at each joint, by the numbers of a hypothesis: a square
+    of its coefficients, (c,), about some of them (``here``).
+    """
+
+    layout: Layout
+    hypothesis: Hypothesis
+    here: Array
+    level: Array  # (joints,)
+    slope: Array  # (joints, c), half of it
+    square: Array  # (joints, c, c)
+
+    def _from_here(self, values: Array) -> Array:
+        return self.layout.coefficients(self.hypothesis, values) - self.here
+
+    def left(self, values: Array) -> Array:
+        """The sum of squares, (joints,)."""
+        by = self._from_here(values)
+        return np.asarray(self.level + (2.0 * self.slope + self.square @ by) @ by)
+
+    def normal(self, values: Array, weight: Array, step: float) -> tuple[Array, Array]:
+        """Normal matrix (p, p) and slope (p,) of the joints' squares times a weight each."""
+        by = self._from_here(values)
+        jac = self.layout.slopes(self.hypothesis, values, step)
+        square = np.tensordot(weight, self.square, 1)
+        slope = weight @ (self.slope + self.square @ by)
+        return jac.T @ square @ jac, jac.T @ slope
 
 
 class Solver:
@@ -53,6 +84,7 @@ class Solver:
         self.chosen = self.complete if choose is fit else completed(choose.whole, outs)
         self.rest = np.swapaxes(self.complete, 1, 2) @ whole @ self.complete
         self.counts = fit.counts.sum(axis=1)
+        self._squares_of: dict[Hypothesis, Array] = {}
 
     def beside_gain(self, by: float) -> Solver:
         """The solver for actuators that all give a part ``by`` more than stated."""
@@ -74,28 +106,24 @@ class Solver:
         """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints,
         width + 1).
         """
-        tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        return product(complete, tail)
+        return product(complete, _with_one(x))
 
     def _left(self, x: Array) -> Array:
         """The sum of squares that the fit leaves, per joint."""
-        tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        return self._sum_of(tail, product(self.rest, tail))
+        tail = _with_one(x)
+        return self._beyond_rounding(np.sum(tail * product(self.rest, tail), axis=1))
 
-    def _sum_of(self, tail: Array, products: Array) -> Array:
-        """The sum of squares per joint, from its coefficients and the sums' products with them."""
-        left = np.sum(tail * products, axis=1)
-        return np.asarray(np.maximum(left, 1e-9 * self.rest[:, -1, -1]))  # less is rounding
+    def _beyond_rounding(self, left: Array) -> Array:
+        """The sum of squares per joint; less than a part of all is rounding."""
+        return np.asarray(np.maximum(left, 1e-9 * self.rest[:, -1, -1]))
 
-    def deviance(self, x: Array) -> float:
-        """The deviance of the fit, with the noise of each joint profiled out."""
+    def _deviance(self, left: Array) -> float:
+        """The deviance of a fit, with the noise of each joint profiled out, from the sum of squares
+        that it leaves at each.
+        """
         used = self.counts > NUISANCE
-        return float(
-            np.sum(
-                self.counts[used]
-                * np.log(np.maximum(self._left(x)[used], 1e-300) / self.counts[used])
-            )
-        )
+        mean = np.maximum(left[used], 1e-300) / self.counts[used]
+        return float(np.sum(self.counts[used] * np.log(mean)))
 
     def at(self, h: Hypothesis, values: Array) -> Array:
         """Coefficients that a hypothesis adds to the model, (joints, width)."""
@@ -111,33 +139,42 @@ class Solver:
 
     def _descend(self, h: Hypothesis, values: Array) -> tuple[Array, float]:
         """The result of Levenberg-Marquardt from some numbers, and its deviance."""
-        best = self.deviance(self.at(h, values))
-        damping = 1e-6
+        squares = self._about(h, values)
+        left = self._beyond_rounding(squares.left(values))
+        best, damping = self._deviance(left), 1e-6
         for _ in range(30):
-            normal, slope = self._normal(h, values)
+            normal, slope = squares.normal(values, self._weight(left), self.limits.step)
             while damping < self.limits.damped:
                 trial = values - solve(normal + damping * np.diag(np.diag(normal)), slope)
-                value = self.deviance(self.at(h, trial))
+                leaves = self._beyond_rounding(squares.left(trial))
+                value = self._deviance(leaves)
                 if value <= best:
                     break
                 damping *= 10
             else:
                 break
             done = best - value < self.limits.settled
-            values, best, damping = trial, value, max(damping / 10, 1e-9)
+            values, left, best, damping = trial, leaves, value, max(damping / 10, 1e-9)
             if done:
                 break
         return values, best
 
-    def _normal(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
-        """Normal matrix (p, p) and slope (p,) of the deviance."""
-        x, jac = self._linear(h, values)
-        tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+    def _about(self, h: Hypothesis, values: Array) -> _Squares:
+        """The sums of squares by the numbers of a hypothesis, about some of them."""
+        columns = self.layout.columns(h)[:, NUISANCE:]
+        across = np.swapaxes(columns, 1, 2)
+        if h not in self._squares_of:
+            self._squares_of[h] = across @ self.rest[:, :-1, :-1] @ columns
+        tail = _with_one(self.at(h, values))
         products = product(self.rest, tail)
-        weight = self._weight(self._sum_of(tail, products))
-        inner = self.rest[:, :-1, :-1] @ jac
-        weighted = weight[:, None, None] * jac
-        return over_joints(weighted, inner), over_joints(weighted, products[:, :-1])
+        return _Squares(
+            self.layout,
+            h,
+            self.layout.coefficients(h, values),
+            np.sum(tail * products, axis=1),
+            product(across, products[:, :-1]),
+            self._squares_of[h],
+        )
 
     def _weight(self, left: Array) -> Array:
         """The weight of each joint's squares, from the sum that a fit leaves of them; 0 for a joint
@@ -148,16 +185,14 @@ class Solver:
 
     def step(self, h: Hypothesis, values: Array) -> Array:
         """The difference of the most likely numbers from these, to first order, (p,)."""
-        return -solve(*self._normal(h, values))
+        squares = self._about(h, values)
+        weight = self._weight(self._beyond_rounding(squares.left(values)))
+        return -solve(*squares.normal(values, weight, self.limits.step))
 
     def _linear(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
         """Coefficients and their derivatives without the nuisance, (joints, columns, p)."""
-        x = self.at(h, values)
-        step = self.limits.step * np.maximum(np.abs(values), 0.1)
-        jac = [
-            (self.at(h, values + step * e) - x) / step.sum(where=e > 0) for e in np.eye(len(values))
-        ]
-        return x, np.stack(jac, axis=2)[:, NUISANCE:]
+        slopes = self.layout.slopes(h, values, self.limits.step)
+        return self.at(h, values), self.layout.columns(h)[:, NUISANCE:] @ slopes
 
     def _starts(self, h: Hypothesis) -> list[Array]:
         """Start values: all zero, except for a payload, whose centre has no meaning without a mass:
@@ -212,8 +247,9 @@ class Solver:
         x, jac = self._linear(h, values)
         full, weight = self._full(x, self.complete), self.counts / np.maximum(self._left(x), 1e-300)
         sense = weight[:, None, None] * (self.complete[:, :, :-1] @ jac)
-        force = product(self.fit.grams, full[:, None])
-        scores = (force @ sense).sum(axis=0)
+        grams, (full, *sense) = _of_used(self.fit.grams, full, *np.moveaxis(sense, 2, 0))
+        force = product(grams, full[:, None])
+        scores = (force @ np.stack(sense, axis=2)).sum(axis=0)
         normal = over_joints(weight[:, None, None] * jac, self.rest[:, :-1, :-1] @ jac)
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         paired = scores[:-1].T @ scores[1:]
@@ -242,7 +278,8 @@ class Solver:
     def points(self, x: Array) -> Array:
         """Deviance of the blocks to choose by, (joints, blocks)."""
         full = self._full(x, self.chosen)
-        left = np.maximum(product(product(self.choose.grams, full[:, None]), full), 0.0)
+        grams, (full,) = _of_used(self.choose.grams, full)
+        left = np.maximum(product(product(grams, full[:, None]), full), 0.0)
         counts = self.choose.counts
         mean = left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1.0)
         mean = np.maximum(mean, 1e-300)[:, None]
@@ -263,7 +300,8 @@ class Solver:
         """
         full = self._full(x, self.chosen)
         apart = self._full(other, self.chosen) - full
-        force = product(self.choose.grams, apart[:, None])
+        grams, (full, apart) = _of_used(self.choose.grams, full, apart)
+        force = product(grams, apart[:, None])
         energy = self.choose.whole[:, -1, -1]
         least = np.where(energy > 0.0, LAST_DIGITS * energy, np.inf)
         weight = self.choose.counts.sum(axis=1) / np.maximum(self.squares(x), least)
@@ -278,6 +316,19 @@ class Solver:
             normal((0.5 - mix) / max(error, 1e-9), whole**2 / float(squares @ squares)),
             float(gain.sum()) / max(spread(gain - gain.mean(), 1), 1e-9),
         )
+
+
+def _with_one(x: Array) -> Array:
+    """Coefficients without the nuisance's, and the innovations' 1, (joints, columns + 1)."""
+    return np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+
+
+def _of_used(grams: Array, *coefficients: Array) -> tuple[Array, list[Array]]:
+    """Gram matrices, and some coefficients, (joints, columns) each, of the columns that any of
+    these uses: of some 90 a hypothesis has 10 beside the nuisance's.
+    """
+    used = np.flatnonzero(np.any(coefficients, axis=(0, 1)))
+    return grams[..., used[:, None], used], [c[:, used] for c in coefficients]
 
 
 def completed(whole: Array, outs: list[list[int]]) -> Array:

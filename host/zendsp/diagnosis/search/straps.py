@@ -57,15 +57,12 @@ class Potentials(Layout):
         self.alone = _strap([key for p, key in at.items() if sum(k > 0 for k in p) == 1])
         self.width += len(self._powers)
 
-    def place(self, h: Hypothesis, values: Array) -> Array:
-        """Coefficients of the columns, as of ``Layout``; a potential's numbers are those of its own
-        columns.
-        """
-        if h.effect != "strap":
-            return super().place(h, values)
-        x = np.zeros((self.joints, self.width))
-        x[:, [int(key) for key in h.free]] = values
-        return x
+    def _put(self, x: Array, h: Hypothesis, values: Array) -> None:
+        """As ``Layout`` does; a potential's numbers are those of its own columns."""
+        if h.effect == "strap":
+            x[:, [int(key) for key in h.free]] = values
+        else:
+            super()._put(x, h, values)
 
     def torques(self, record: JointRecord) -> Array:
         """The slope of each monomial along a joint's position, (columns, n)."""

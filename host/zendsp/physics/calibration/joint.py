@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import at_site, get_effect
 from zendsp.physics.effects.base import Along, Facts, Scale
 from zendsp.physics.kernel.native import native, swung
 from zendsp.physics.kernel.signals import Measurement, Motion, means, thin_measurement
@@ -516,4 +516,5 @@ def own_terms(terms: tuple[Term, ...]) -> tuple[Term, ...]:
     """The terms that the kernel evaluates at a joint, without bodies, which are in its inertia and
     bias.
     """
-    return tuple(term for term in terms if get_effect(term.effect).site != "body")
+    bodies = at_site("body")
+    return tuple([term for term in terms if term.effect not in bodies])

@@ -71,6 +71,17 @@ def get_effect(name: str) -> Effect:
         ) from None
 
 
+@cache
+def _shipped_at(site: str) -> frozenset[str]:
+    return frozenset(e.name for e in _shipped().values() if e.site == site)
+
+
+def at_site(site: str) -> frozenset[str]:
+    """Names of the effects that act at a site."""
+    own = {e.name for e in _extra.values() if e.site == site}
+    return _shipped_at(site) | own if own else _shipped_at(site)
+
+
 def mechanism_of(name: str) -> str:
     """The mechanism that an effect describes.
 

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ModelError
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import at_site
 from zendsp.physics.model import TREES, Model, Term, per_joint
 from zendsp.physics.robots.rigid import SMALL
 from zendsp.physics.robots.robot import robot_tree
@@ -43,7 +43,8 @@ def numbers_of(mass: float, com: Array, inertia: Array) -> Array:
 
 def body_terms(model: Model) -> tuple[Term, ...]:
     """Terms of a model that change bodies or gravity: all joints that move the body feel them."""
-    return tuple(t for t in model.terms if get_effect(t.effect).site == "body")
+    bodies = at_site("body")
+    return tuple([t for t in model.terms if t.effect in bodies])
 
 
 def turned_gravity(gravity: Array, terms: Sequence[Term]) -> Array:
@@ -58,13 +59,19 @@ def turned_gravity(gravity: Array, terms: Sequence[Term]) -> Array:
 
 
 def change_of(term: Term, body: Body) -> Array:
-    """The change of a link's ten numbers by a ``payload`` or a wrong ``body``, (10,).
+    """The change of a link's ten numbers by a ``payload`` or a wrong ``body``, (10,)."""
+    com = np.array([term.value("com_x"), term.value("com_y"), term.value("com_z")])
+    return changed_by(term.effect, (term.value("mass"), com, term.value("inertia")), body)
+
+
+def changed_by(effect: str, numbers: tuple[float, Array, float], body: Body) -> Array:
+    """The same by an effect's mass, centre of mass and inertia.
 
     A wrong mass means another density, so the inertia changes in proportion.
     """
-    com = np.array([term.value("com_x"), term.value("com_y"), term.value("com_z")])
-    mass, spread = term.value("mass"), term.value("inertia") * np.eye(3)
-    if term.effect == "payload":
+    mass, com, inertia = numbers
+    spread = inertia * np.eye(3)
+    if effect == "payload":
         return numbers_of(mass, com, spread)
     given = numbers_of(body.mass, body.com, body.inertia)
     denser = 1.0 + mass / body.mass if body.mass > 0.0 else 1.0
