@@ -32,7 +32,14 @@ from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Quantity, Term, per_joint
-from zendsp.physics.robots.bodies import NUMBERS, Links, body_terms, changed_by, turned_gravity
+from zendsp.physics.robots.bodies import (
+    NUMBERS,
+    Links,
+    body_terms,
+    changed_by,
+    numbers_of,
+    turned_gravity,
+)
 from zendsp.physics.robots.rigid import SMALL
 
 Array = npt.NDArray[np.float64]
@@ -266,6 +273,7 @@ class Layout:
         self.own = self.mechanism + len(self.keys)
         self.width = self.own + OWN_COLUMNS
         self._columns: dict[Hypothesis, Array] = {}
+        self._bodies = [(b, numbers_of(b.mass, b.com, b.inertia)) for b in links.bodies]
 
     def term(self, h: Hypothesis, values: Array) -> Term:
         """The hypothesis as a term of a model."""
@@ -295,7 +303,7 @@ class Layout:
         known = dict(zip(h.free, values.tolist(), strict=True))
         mass, inertia = known.get("mass", 0.0), known.get("inertia", 0.0)
         com = np.array([known.get(key, 0.0) for key in COM])
-        change = changed_by(h.effect, (mass, com, inertia), self.links.bodies[h.joint - 1])
+        change = changed_by(h.effect, (mass, com, inertia), *self._bodies[h.joint - 1])
         return np.append(change, values[-1]) if "gain" in known else change
 
     def slopes(self, h: Hypothesis, values: Array, step: float) -> Array:

@@ -5,6 +5,7 @@ by.
 from __future__ import annotations
 
 from collections.abc import Collection
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,6 +86,7 @@ class Solver:
         self.rest = np.swapaxes(self.complete, 1, 2) @ whole @ self.complete
         self.counts = fit.counts.sum(axis=1)
         self._squares_of: dict[Hypothesis, Array] = {}
+        self._points_of: dict[bytes, Array] = {}
 
     def beside_gain(self, by: float) -> Solver:
         """The solver for actuators that all give a part ``by`` more than stated."""
@@ -98,9 +100,9 @@ class Solver:
         return self._from(self.origin - more)
 
     def _from(self, origin: Array) -> Solver:
-        return Solver(
-            self.fit, self.choose, self.layout, self.limits, origin, self.aside, self.rotors
-        )
+        other = copy(self)  # what is known of the sums is the same
+        other.origin = origin
+        return other
 
     def _full(self, x: Array, complete: Array) -> Array:
         """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints,
@@ -277,6 +279,12 @@ class Solver:
 
     def points(self, x: Array) -> Array:
         """Deviance of the blocks to choose by, (joints, blocks)."""
+        key = x.tobytes()
+        if key not in self._points_of:
+            self._points_of[key] = self._points(x)
+        return self._points_of[key]
+
+    def _points(self, x: Array) -> Array:
         full = self._full(x, self.chosen)
         grams, (full,) = _of_used(self.choose.grams, full)
         left = np.maximum(product(product(grams, full[:, None]), full), 0.0)

@@ -30,6 +30,7 @@ from zendsp.tree import GRAVITY, Body, LinkMotion, about, cross, into, inverse_d
 Array = npt.NDArray[np.float64]
 
 NUMBERS = ("mass", "h_x", "h_y", "h_z", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_ONE = np.eye(3)
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _ROWS, _COLUMNS = np.transpose(_PAIRS)
 _ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # turns z to the base's x
@@ -61,19 +62,21 @@ def turned_gravity(gravity: Array, terms: Sequence[Term]) -> Array:
 def change_of(term: Term, body: Body) -> Array:
     """The change of a link's ten numbers by a ``payload`` or a wrong ``body``, (10,)."""
     com = np.array([term.value("com_x"), term.value("com_y"), term.value("com_z")])
-    return changed_by(term.effect, (term.value("mass"), com, term.value("inertia")), body)
+    given = numbers_of(body.mass, body.com, body.inertia)
+    return changed_by(term.effect, (term.value("mass"), com, term.value("inertia")), body, given)
 
 
-def changed_by(effect: str, numbers: tuple[float, Array, float], body: Body) -> Array:
-    """The same by an effect's mass, centre of mass and inertia.
+def changed_by(
+    effect: str, numbers: tuple[float, Array, float], body: Body, given: Array
+) -> Array:
+    """The same by an effect's mass, centre of mass and inertia; ``given``: the link's own numbers.
 
     A wrong mass means another density, so the inertia changes in proportion.
     """
     mass, com, inertia = numbers
-    spread = inertia * np.eye(3)
+    spread = inertia * _ONE
     if effect == "payload":
         return numbers_of(mass, com, spread)
-    given = numbers_of(body.mass, body.com, body.inertia)
     denser = 1.0 + mass / body.mass if body.mass > 0.0 else 1.0
     return numbers_of(body.mass + mass, body.com + com, denser * body.inertia + spread) - given
 
