@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.effects import at_site, get_effect
+from zendsp.physics.effects import get_effect
 from zendsp.physics.effects.base import Along, Facts, Scale
+from zendsp.physics.effects.catalogue import at_site
 from zendsp.physics.kernel.native import native, swung
 from zendsp.physics.kernel.signals import Measurement, Motion, means, thin_measurement
 from zendsp.physics.model import TREES, Model, Term, per_joint

@@ -2,7 +2,6 @@
 
 from zendsp.physics.effects.base import MECHANISMS, Effect, Parameter, unit_of
 from zendsp.physics.effects.catalogue import (
-    at_site,
     get_effect,
     is_supported,
     laws_of,
@@ -13,6 +12,6 @@ from zendsp.physics.effects.catalogue import (
 )
 
 __all__ = [
-    "MECHANISMS", "Effect", "Parameter", "at_site", "get_effect", "is_supported", "laws_of",
-    "library", "load_effects", "mechanism_of", "stands_on", "unit_of",
+    "MECHANISMS", "Effect", "Parameter", "get_effect", "is_supported", "laws_of", "library",
+    "load_effects", "mechanism_of", "stands_on", "unit_of",
 ]

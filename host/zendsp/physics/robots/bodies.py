@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ModelError
-from zendsp.physics.effects import at_site
+from zendsp.physics.effects.catalogue import at_site
 from zendsp.physics.model import TREES, Model, Term, per_joint
 from zendsp.physics.robots.rigid import SMALL
 from zendsp.physics.robots.robot import robot_tree
