@@ -244,10 +244,6 @@ def test_half_a_column_is_refused() -> None:
         ("velocity", lambda c: np.gradient(c["q"], c["t"]), "difference of the position column"),
         ("velocity", lambda c: 57.3 * _speed(c), "times the velocity of the position column"),
         ("velocity", lambda c: np.roll(_speed(c), 6), "12 ms late, as behind a filter"),
-        (
-            "velocity", lambda c: 1.04 * np.roll(_speed(c), 6),
-            "1.04 times the position's velocity, 12 ms late",
-        ),
         ("velocity", lambda c: np.roll(_speed(c), -6), "12 ms early"),
         ("current", lambda c: 3.0 * c["u"], "no measurement of its own"),
         ("current", lambda c: np.clip(c["u"], -0.2, 0.2), "does not do what it is told"),

@@ -154,8 +154,7 @@ def _velocity(x: Array, q: Array, sample_time: float) -> str:
     if off(a - both @ of) < TIMED * apart:
         late = 1e3 * float(of[1] / of[0])
         when = f"{late:.2g} ms late, as behind a filter" if late > 0 else f"{-late:.2g} ms early"
-        times = f"{of[0]:.2f} times " * (f"{of[0]:.2f}" != "1.00")
-        return f"it is {times}the position's velocity, {when}; the fit predicts positions"
+        return f"it is the position's velocity, {when}; the fit predicts positions"
     within = 5 * math.ceil(20 * apart)  # %: joints that hardly differ are told together
     return (
         f"it is the position's velocity to {within} % below 25 Hz, and the fit predicts positions"
