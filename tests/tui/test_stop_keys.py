@@ -178,7 +178,8 @@ def keys_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Guarded]:
     os.dup2(typed, 0)
     os.close(typed)
     told: list[str] = []
-    guard = stopper.Stopper(lambda state, *_: told.append(state))
+    guard = stopper.Stopper()
+    guard.listen(lambda state, *_: told.append(state))
     try:
         guard.stop()  # of no target
         until(lambda: "asked" in told, "it has begun")

@@ -49,7 +49,9 @@ def _serve(folder: Path, *options: str) -> Iterator[Served]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         number: int = probe.getsockname()[1]
-    words = ["tui", "--web", "--port", str(number), "--folder", str(folder), *options]
+    # a Python that reads the pages of a terminal cannot keep up with 30 a second on a busy computer
+    frames = ["--frames", "4"]
+    words = ["tui", "--web", "--port", str(number), "--folder", str(folder), *frames, *options]
     process = subprocess.Popen(
         [sys.executable, "-c", "from zendsp.cli import main; main()", *words],
         stdout=subprocess.DEVNULL,

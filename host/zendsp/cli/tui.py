@@ -121,33 +121,36 @@ def command(
     from zendsp.tui.memory import keep_one_heap
 
     keep_one_heap()  # before anything of the link starts a thread
-    from zendsp.reference import MACHINES
-    from zendsp.tui.app import ZendspApp
-    from zendsp.tui.link_port import find_targets, open_port, start_machine
+    from zendsp.tui.stopper import Stopper
 
-    app = ZendspApp(
-        open_port,
-        find_targets=find_targets,
-        start_machine=lambda name: start_machine(name, clock),
-        machines=MACHINES,
-        target=target,
-        folder=folder.resolve(),
-        source=path,
-        first=screen,
-        theme=theme,
-        begin=machine or "",
-        frames=frames,
-        channels=parse_names(channels),
-    )
     # started with nohup, it would look for keys in a terminal that is gone, for ever
     for number in SOFT:
         signal.signal(number, interrupt)
-    app.session.stops.guard_keys(target, here=False)
+    stopper = Stopper(target)  # first: it is ready for STOP when the screens are
     try:
+        from zendsp.reference import MACHINES
+        from zendsp.tui.app import ZendspApp
+        from zendsp.tui.link_port import find_targets, open_port, start_machine
+
+        app = ZendspApp(
+            open_port,
+            find_targets=find_targets,
+            start_machine=lambda name: start_machine(name, clock),
+            machines=MACHINES,
+            target=target,
+            folder=folder.resolve(),
+            source=path,
+            first=screen,
+            theme=theme,
+            begin=machine or "",
+            frames=frames,
+            channels=parse_names(channels),
+        )
+        app.session.stops.guard_keys(stopper, target)
         with errors_kept():
             app.run()
     finally:
-        app.session.stops.release_keys()
+        stopper.close()
     status = app.return_code or 0
     if status > 128:
         click.echo(f"ended by {signal.Signals(status - 128).name}", err=True)

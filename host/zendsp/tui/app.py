@@ -128,8 +128,6 @@ class ZendspApp(TypeAhead):
             self.add_mode(name, partial(self._kept, name))
         self._blind = not self.is_headless
         await self.switch_mode(self._first)
-        if not self.is_headless:  # in the queue of the keys: those that are pressed meanwhile wait
-            self.call_after_refresh(self._first_picture)
         if self._target:
             self.session.connect(self._target)
         elif self._begin:
@@ -147,15 +145,15 @@ class ZendspApp(TypeAhead):
         self.call_later(partial(self.exit, return_code=128 + number))
 
     def post_display_hook(self) -> None:
-        """Once the first picture is drawn, tell the process that reads the keys."""
+        """Tell when the first picture is drawn."""
         if self._blind and self.screen_stack and isinstance(self.screen, LabScreen):
-            self._mark_picture()
+            self._first_picture()
 
     def _first_picture(self) -> None:
-        self._mark_picture()
-        self.call_later(self._build_others)
-
-    def _mark_picture(self) -> None:
+        """Tell the process that reads the keys. The other screens are built when their keys are
+        pressed: built here, all together, they kept F3 waiting for 2 to 6 s, and the word of a STOP
+        for as long.
+        """
         if self._marked:
             return
         self._marked = True
@@ -164,16 +162,6 @@ class ZendspApp(TypeAhead):
             self.set_timer(HELD_S, self._see)  # should its word not come
         else:
             self._see()
-
-    async def _build_others(self) -> None:
-        """Build the other screens after the first picture, so that none has to be built when its
-        key is pressed.
-        """
-        shown = self.current_mode
-        with self.batch_update():
-            for name in SCREENS:
-                await self.switch_mode(name)
-            await self.switch_mode(shown)
 
     def on_unmount(self) -> None:
         self.session.close()

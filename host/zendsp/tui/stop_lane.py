@@ -59,15 +59,10 @@ class StopLane:
         self._asked: queue.SimpleQueue[Future[str] | None] = queue.SimpleQueue()
         self.threads = [background(f"tui-stop-{number}", self._run) for number in range(STOPPERS)]
 
-    def guard_keys(self, target: str, here: bool) -> None:
-        """Have another process read the keys first, and do STOP for this target, from now on."""
-        self.stopper = Stopper(self.tell)
-        self.aim(target, here)
-
-    def release_keys(self) -> None:
-        """End the process that reads the keys."""
-        if self.stopper is not None:
-            self.stopper.close()
+    def guard_keys(self, stopper: Stopper, target: str) -> None:
+        """Leave STOP to the process that reads the keys first, which does it for this target."""
+        self.stopper, self._target = stopper, target
+        stopper.listen(self.tell)
 
     def place(self, field: Field) -> None:
         """Tell where the red field of STOP is."""

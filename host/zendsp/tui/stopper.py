@@ -28,6 +28,7 @@ ASK_S = 0.2  # between questions whether it is there
 LOOK_S = 0.1  # between looks at one that has not answered yet
 ASLEEP_S = 0.5  # without an answer, after which it is ended unless it wants a processor
 SILENT_S = 3.0  # the same where it wants one: the computer is busy
+OnVerdict = Callable[[StopState, str, str], None]
 KEY_LOST = "a STOP pressed just now may be lost: press F9 again"
 
 
@@ -47,12 +48,11 @@ class Stopper:
 
     Parameters
     ----------
-    on_verdict : callable
-        ``on_verdict(state, text, detail)``, called in a thread of its own.
+    target : str
+        The target that STOP stops until another is named; empty for none.
     """
 
-    def __init__(self, on_verdict: Callable[[StopState, str, str], None]) -> None:
-        self._on_verdict = on_verdict
+    def __init__(self, target: str = "") -> None:
         self.terminal = os.dup(0)
         os.set_inheritable(self.terminal, False)
         control_in, self._control = os.pipe()
@@ -73,7 +73,19 @@ class Stopper:
         os.dup2(self._process.stdout.fileno(), 0)
         self.alive, self.field = True, Field()
         self._here = threading.Event()
-        threading.Thread(target=self._listen, name="tui-verdicts", daemon=True).start()
+        self.want(target, here=False)  # before it reads a key
+
+    def listen(self, on_verdict: OnVerdict) -> None:
+        """Take its words from now on, and end it if it hangs.
+
+        Parameters
+        ----------
+        on_verdict : callable
+            ``on_verdict(state, text, detail)``, called in a thread of its own.
+        """
+        threading.Thread(
+            target=self._listen, args=(on_verdict,), name="tui-verdicts", daemon=True
+        ).start()
         threading.Thread(target=self._watch, name="tui-keys-watch", daemon=True).start()
 
     def want(self, name: str, here: bool) -> None:
@@ -141,12 +153,12 @@ class Stopper:
             return "T" in _states(self._process.pid)
         return silent_s > (SILENT_S if states & {"R", "D"} else ASLEEP_S)
 
-    def _listen(self) -> None:
+    def _listen(self, on_verdict: OnVerdict) -> None:
         why = ""
         with open(self._verdicts, encoding="utf-8") as lines:
             try:
                 for line in lines:
-                    self._hear(json.loads(line))
+                    self._hear(json.loads(line), on_verdict)
             except Exception as error:  # nobody would tell any more how a STOP ended
                 why = f" ({type(error).__name__}: {error})"
         if self.alive:
@@ -154,19 +166,19 @@ class Stopper:
             self._process.kill()
             self._process.wait()
             os.dup2(self.terminal, 0)
-            self._on_verdict(
+            on_verdict(
                 StopState.NOT_STOPPED,
                 KEY_LOST,
                 f"the process that reads the keys first has ended{why}: {KEY_LOST}."
                 " The terminal reads the keys itself now",
             )
 
-    def _hear(self, verdict: dict[str, str]) -> None:
+    def _hear(self, verdict: dict[str, str], on_verdict: OnVerdict) -> None:
         if verdict["state"] == HERE:
             self._here.set()
         else:
             state = StopState(verdict["state"])
-            self._on_verdict(state, verdict["text"], verdict["detail"])
+            on_verdict(state, verdict["text"], verdict["detail"])
 
 
 def with_stop(

@@ -59,15 +59,22 @@ class Workspace:
             n += 1
         return path
 
+    def has_references(self) -> bool:
+        """Whether there are any saved references; as soon as one is found."""
+        return any(map(is_reference, self._may_be_references()))
+
     def saved_references(self) -> list[Path]:
         """The references of this folder and of those directly below it, newest first; hidden
         folders are left out.
         """
+        return [p for p in self._may_be_references() if is_reference(p)]
+
+    def _may_be_references(self) -> list[Path]:
         found = [*self.references.glob("*.mat"), *self.root.glob("*.mat")]
         below = self.root.glob("*/*.mat")
         found += [p for p in below if not p.parent.name.startswith(".") and p not in found]
         dated = sorted(((p.stat().st_mtime, p) for p in found), reverse=True)
-        return [p for _, p in dated[:MOST] if is_reference(p)]
+        return [p for _, p in dated[:MOST]]
 
     def recordings(self) -> list[Path]:
         """The files of recordings in this folder and in those directly below it, newest first;

@@ -91,6 +91,7 @@ class ExecuteScreen(MeasureActions):
 
     def ready(self) -> None:
         self.query_one("#progress").display = False  # no line of its own before there is any
+        self.query_one("#run-preview", Scope).empty_text = ""  # until it is known what comes next
         self.fill_runs()
         self.preview()
         self.query_one("#runs", DataTable).focus()
@@ -197,14 +198,24 @@ class ExecuteScreen(MeasureActions):
             else:
                 curves_of(scope, columns_of(None, reference, None), reference, "position")
                 scope.limits = {}
-        scope.empty_text = self._what_next()
         scope.redraw()
+        self.run_worker(self._what_next, thread=True, exclusive=True, group="hint")
 
-    def _what_next(self) -> str:
-        """A hint on what to do next, where no curves are shown."""
-        looks = "space shows the marked run" if self.runs else ""
-        planned = "o chooses a planned reference" if self.lab.workspace.saved_references() else ""
-        return "; ".join(x for x in (planned or "plan a motion on Reference (F4)", looks) if x)
+    def _what_next(self) -> None:
+        """Find what to do next, and show it where no curves are shown; on a thread, since files are
+        read.
+        """
+        any_planned = self.lab.workspace.has_references()
+
+        def show() -> None:
+            looks = "space shows the marked run" if self.runs else ""
+            planned = "o chooses a planned reference" if any_planned else ""
+            scope = self.query_one("#run-preview", Scope)
+            words = (planned or "plan a motion on Reference (F4)", looks)
+            scope.empty_text = "; ".join(x for x in words if x)
+            scope.redraw()
+
+        self.call_later(show)
 
     def look(self, snapshot: Snapshot) -> list[Condition]:
         """The present conditions of Start."""
