@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 
@@ -200,6 +202,24 @@ def test_a_process_of_the_keys_that_does_nothing_is_not_waited_for(
     guard, _ = keys_process
     os.kill(guard._process.pid, signal.SIGSTOP)
     until(lambda: not guard.alive, "the terminal reads the keys itself")
+
+
+def test_a_terminal_that_is_busy_does_not_end_the_process_of_the_keys(
+    keys_process: Guarded,
+) -> None:
+    """Its answer had been read, and waited for the interpreter beside the thread that judges."""
+    guard, _ = keys_process
+    answers: list[float] = []
+
+    class Late(threading.Event):
+        def set(self) -> None:
+            ctypes.PyDLL(None).usleep(int(1.2e6 * stopper.ASLEEP_S))  # no other thread runs
+            super().set()
+            answers.append(time.monotonic())
+
+    guard._here = Late()
+    until(lambda: len(answers) > 2 or not guard.alive, "it was asked three times")
+    assert guard.alive
 
 
 def test_the_end_of_the_process_of_the_keys_is_told_since_a_stop_may_have_gone_with_it(

@@ -127,12 +127,17 @@ class Stopper:
         return self.alive
 
     def _watch(self) -> None:
-        """End the process if it hangs; the application then goes on as if it had been killed."""
+        """End the process if it hangs; the application then goes on as if it had been killed.
+
+        Looks are counted, not seconds: while the interpreter is busy neither this thread runs, nor
+        the one that has read the answer already.
+        """
         begun = False
         while self._write("?"):
-            asked = time.monotonic()
+            looks = 0
             while not self._here.wait(LOOK_S):
-                if self._hangs(time.monotonic() - asked if begun else 0.0):
+                looks += begun
+                if self._hangs(looks * LOOK_S):
                     if self.alive:
                         self._process.kill()
                     return
@@ -141,7 +146,7 @@ class Stopper:
             time.sleep(ASK_S)
 
     def _hangs(self, silent_s: float) -> bool:
-        """Whether the process hangs, after so many seconds without an answer."""
+        """Whether the process hangs, after looking for so many seconds without an answer."""
         try:
             if select.select([self._verdicts], [], [], 0.0)[0]:
                 return False  # its answer is there: it is the application that could not look
