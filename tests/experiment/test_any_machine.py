@@ -157,26 +157,32 @@ def test_a_mujoco_model_that_is_called_as_a_shipped_machine_is_not_taken_for_it(
     assert Lab(tmp_path).shipped("mechanical") == "pendulum"
 
 
+# of the file, by mujoco: 0.8 kg on 0.15 m; the capsule's caps belong to the inertia
+OF_THE_BAR = {"inertia1": 0.026569, "weight_sine1": 1.1772, "weight_cosine1": 0.0,
+              "coulomb1": 0.15, "viscous1": 0.03}  # fmt: skip
+
+
 def test_a_bar_that_may_not_go_round_is_measured_and_swung_within_its_range(
     tmp_path: Path,
 ) -> None:
-    # of the file, by mujoco: 0.8 kg on 0.15 m; the capsule's caps belong to the inertia
-    truth = {"inertia1": 0.026569, "weight_sine1": 1.1772, "weight_cosine1": 0.0,
-             "coulomb1": 0.15, "viscous1": 0.03}  # fmt: skip
-    copies = []
-    for seed in (1, 2):  # of the noise: what is stated of it differs by three from copy to copy
-        with started(tmp_path, BAR, "bar", seed) as target:
-            copies.append(run_experiment("mechanical", Lab(tmp_path / str(seed), target)).values)
     with started(tmp_path, BAR, "bar", 3) as target:
         lab = Lab(tmp_path, target)
         found = run_experiment("mechanical", lab)
-        copies.append(found.values)
         assert found.mechanism["gravity"].value == found.values["weight_sine1"].value
         swung = run_experiment("swing", lab).values
         assert swung["closed_loop_final_error"].value < 0.05
         for name in ("mechanical", "swing"):
             keeps_within(tmp_path / name, 2.0, 0.8 * 2 * np.pi)
-    for name, true in truth.items():
+    near(found.values, OF_THE_BAR, 0.03)
+
+
+@pytest.mark.long("one copy of the noise is held to the same above; lost: two more of them")
+def test_a_bar_is_measured_within_what_is_stated_whatever_the_noise(tmp_path: Path) -> None:
+    copies = []
+    for seed in (1, 2, 3):  # what is stated of it differs by three from copy to copy
+        with started(tmp_path, BAR, "bar", seed) as target:
+            copies.append(run_experiment("mechanical", Lab(tmp_path / str(seed), target)).values)
+    for name, true in OF_THE_BAR.items():
         each = sorted((copy[name] for copy in copies), key=lambda e: e.std)
         assert all(abs(e.value - true) < 4 * e.std for e in each), (name, each)
         near({name: each[1]}, {name: true}, 0.03)
