@@ -5,6 +5,7 @@ terms that the recording does not need are dropped.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -81,7 +82,8 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
             idle = term.effect in added and vanishes(certain, term)
             least = best.deviance + price((term,), n)
             trial = refitted(best.data, model, found.joint, jobs, 2, math.inf if idle else least)
-            if trial.deviance < least or (idle and not _runs_off(trial, best)):
+            rivals = get_effect(term.effect).rivals
+            if trial.deviance < least or (idle and not _runs_off(trial, rivals)):
                 best = trial
                 if term.effect not in added or term.effect in {
                     t.effect for t in found.base.model.at(found.joint)
@@ -92,11 +94,13 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
             return _released(found, best, n, jobs), tuple(dropped)
 
 
-def _runs_off(trial: Scored, best: Scored) -> bool:
-    """Whether a model that has lost a term has a number at its bound that another model has not: it
-    would take up what was lost, and cannot.
+def _runs_off(trial: Scored, rivals: Sequence[str]) -> bool:
+    """Whether a model that has lost a term has a number of one of that term's rivals at its bound:
+    it would take up what was lost, and cannot.
     """
-    return sum(trial.fit.at_bound) > sum(best.fit.at_bound)
+    fitted = zip(trial.fit.handles, trial.fit.at_bound, strict=True)
+    off = {trial.model.terms[h.index].effect for h, b in fitted if b and h.place == "term"}
+    return not off.isdisjoint(rivals)
 
 
 def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
