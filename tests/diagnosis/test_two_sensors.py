@@ -283,6 +283,9 @@ def test_friction_before_and_after_a_torque_sensor_is_told_apart(
     (before, _), (after, _) = sides.dry
     (said,) = on_both_sides([], Parts(data, data, data), given)
     assert f"dry friction of {before:.2g} ± " in said
+    behind = recording({**made, "ts": 4.0 * made["ts"]})
+    geared = prepare([read_signals(behind, given)], given, 64.0)
+    assert "a gear between" in on_both_sides([], Parts(geared, geared, geared), given)[0]
     assert f"N m before it and of {after:.2g}" in said
     assert before == pytest.approx(motor, abs=0.003)  # a tenth: the direction is smoothed
     assert after == pytest.approx(load, abs=0.003)

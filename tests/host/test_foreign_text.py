@@ -377,3 +377,27 @@ def test_quoted_decimal_commas_are_read_where_commas_part_the_columns(tmp_path: 
 
 def test_a_german_time_stamp_is_the_time() -> None:
     assert role_of("Zeitstempel", "s") is role_of("Messzeit [s]") is Role.TIME
+
+
+@pytest.mark.parametrize(
+    ("rows", "last"),
+    [
+        (["7;999;2,5", "8;1.000;2,5"], [1000.0, 2.5]),  # 1.000 was one
+        (["7;0;0"] * 900 + ["8;3;1,5"], [3.0, 1.5]),  # at rest there were no commas
+        (["7;12.345;2.5", "8;1.007;2.5"], [1.007, 2.5]),
+    ],
+)
+def test_a_point_beside_decimal_commas_is_between_thousands(
+    tmp_path: Path, rows: list[str], last: list[float]
+) -> None:
+    file = tmp_path / "run.csv"
+    file.write_text("\n".join(["t [s];q;tau", *(f"{k};{r[2:]}" for k, r in enumerate(rows)), ""]))
+    assert Recording.load(file).data[-1].tolist() == last
+
+
+def test_a_cell_of_many_points_holds_nobody_up(tmp_path: Path) -> None:
+    """64 kB of them took 19 s."""
+    file = tmp_path / "run.csv"
+    file.write_text("t;q;tau\n0;" + "1.111" * 30_000 + ";2,5\n")
+    with pytest.raises(RecordingError):
+        Recording.load(file)

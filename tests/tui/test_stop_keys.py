@@ -68,6 +68,18 @@ def test_a_paste_that_never_ends_does_not_take_stop_away(monkeypatch: pytest.Mon
     assert "f9" in presses.find(F9)
 
 
+@pytest.mark.parametrize("web", [False, True])
+def test_f9_again_and_again_stops_where_the_end_of_a_paste_was_lost(web: bool) -> None:
+    """Each press renewed the two seconds after which a paste is over: 16 of them stopped nothing."""
+    presses = stop_process.Presses(web)
+
+    def read(data: bytes) -> list[object]:
+        return list(presses.find(b"D" + len(data).to_bytes(4, "big") + data if web else data))
+
+    assert "f9" not in read(b"\x1b[200~abc" + F9)
+    assert "f9" in read(F9)
+
+
 @pytest.mark.parametrize(
     ("report", "stops"),
     [

@@ -43,7 +43,7 @@ def checked(
         available = raw.columns | {name: np.array([value]) for name, value in raw.constants.items()}
         data = _matrix(path, available, channels)
         t = available["t"].reshape(-1)
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         if isinstance(error, RecordingError):
             raise
         raise bad_description(path, error) from error

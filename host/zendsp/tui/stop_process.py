@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 PICTURE, _PICTURE = "f20", b"\x1b[57383u"  # the key, and how a terminal writes it
 _ESC, _ESCAPE = b"\x1b", b"\x1b[27u"  # the key Escape, and how it is written beyond doubt
 F9_MARKS = (b"\x1b[20~", b"\x1b[20;")  # with modifiers and kinds of event
+F9_ALONE, PACKET = F9_MARKS[0], 5  # bytes before what a packet of a page holds
 PASTE_BEGINS, PASTE_ENDS = b"\x1b[200~", b"\x1b[201~"
 HERE = "here"  # the answer to "?"
 EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
@@ -243,9 +244,11 @@ class Presses:
                 yield "f9"
 
     def _note_paste(self, data: bytes) -> None:
-        """Give up a pasted text whose end did not arrive."""
-        now = time.monotonic()
-        if self._pasting and now > self._read_at + PASTE_S:
+        """Give up a pasted text whose end did not arrive: after a silence, or where F9 comes alone.
+        Who hammers on it leaves no silence, and no text comes in pieces of just that.
+        """
+        now, key = time.monotonic(), data[PACKET:] if self._web else data
+        if self._pasting and (now > self._read_at + PASTE_S or key == F9_ALONE):
             self._begin()
             self._pasting = False
         begin, end = data.rfind(PASTE_BEGINS), data.rfind(PASTE_ENDS)

@@ -185,7 +185,8 @@ class Programs:
         never that of a trip that came later.
         """
         head = self._page.pointer("stop_page")
-        return int(head.trips) + int(head.stop)  # in this order: the loop may take one meanwhile
+        # in this order: the loop may take one meanwhile
+        return int(head.trips) + int(head.stop) & 0xFFFFFFFF
 
     def require_no_trip(self) -> None:
         """Refuse while a STOP or trip is not acknowledged."""
@@ -200,7 +201,7 @@ class Programs:
         _, lib = layout()
         head = self._page.pointer("stop_page")
         asked = int(lib.monitor_load32(self._stop))
-        number = int(head.trips) + asked
+        number = int(head.trips) + asked & 0xFFFFFFFF  # whatever user code wrote there
         if trip not in (None, number):
             return
         head.trips = number

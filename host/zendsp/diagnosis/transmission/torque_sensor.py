@@ -161,6 +161,12 @@ def on_both_sides(findings: Sequence[Finding], parts: Parts, model: Model) -> li
         sides = sides_of(parts, model, joint)
         if sides is None or not sides.side:
             continue
+        if any(value < -SURE * std for value, std in (*sides.dry, *sides.viscous)):
+            out.append(
+                f"joint {joint}: torque_measured does not fit the command: friction on one side of"
+                " it would drive the joint. Is its unit or sign another, or is a gear between?"
+            )
+            continue
         unit = model.torque_unit(joint)
         speed = "m" if model.joint_kind(joint) == "linear" else "rad"
         each = [

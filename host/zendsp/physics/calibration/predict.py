@@ -159,30 +159,16 @@ def unbent(record: JointRecord, model: Model, bandwidth: float, inner: int) -> f
         return 0.0
     key = "unbent", _key(record, model, pack(model.at(record.joint)), bandwidth, inner, 0)
     if key not in record.begun:
+        rows = min(record.n, round(SHOWS_START / record.sample_time))
         near = [_harder(model, record.joint, by) for by in NEARBY]
-        left = _by_start(record, near, bandwidth, inner)
-        clear = min(left[True]) < CLEARER * min(left[False])
+
+        def least(start: tuple[float, float, float]) -> float:
+            left = (_from(record, m, bandwidth, inner, start, rows) for m in near)
+            return min(float(r @ r) for r in left)
+
+        clear = least((1.0, 0.0, 0.0)) < CLEARER * least((0.0, 0.0, 0.0))
         record.begun[key] = float(clear), 0.0
     return record.begun[key][0]
-
-
-def _by_start(
-    record: JointRecord, models: Sequence[Model], bandwidth: float, inner: int
-) -> dict[bool, Array]:
-    """The sums of squares of some models' first innovations, (models,), by whether no spring is
-    bent when the recording begins.
-    """
-    lib, rows = native(), min(record.n, round(SHOWS_START / record.sample_time))
-    m = lib.ffi.new("zk_model[]", LANES)
-    alive = [fill(m + i, record, model, bandwidth, inner) for i, model in enumerate(models)]
-    for i in range(LANES):
-        m[i] = m[i % len(models)]
-        m[i].unbent, m[i].n = float(i < len(models)), rows
-    r = np.empty((rows, LANES))
-    lib.lib.zk_run_lanes(m, lib.doubles(r))
-    del alive
-    squares = np.sum(np.clip(r, -RAN_AWAY, RAN_AWAY) ** 2, axis=0)
-    return {True: squares[: len(models)], False: squares[len(models) : 2 * len(models)]}
 
 
 def _harder(model: Model, joint: int, by: float) -> Model:
@@ -227,7 +213,7 @@ def _begun(
 
         def left_by(start: Array) -> Array:
             at = (released, float(start[0]), float(start[1]))
-            return _from(record, model, bandwidth, inner, at)
+            return _from(record, model, bandwidth, inner, at, record.n)
 
         kept, left = np.zeros(2), left_by(np.zeros(2))
         for _ in range(STARTS):
@@ -248,13 +234,15 @@ def _from(
     bandwidth: float,
     inner: int,
     start: tuple[float, float, float],
+    rows: int,
 ) -> Array:
-    """Innovations from a ``start`` of the unseen side."""
+    """Innovations of the first ``rows`` from a ``start`` of the unseen side."""
     lib = native()
     m = lib.ffi.new("zk_model *")
     alive = fill(m, record, model, bandwidth, inner)
     m.unbent, m.b0, m.bd0 = start
-    r = np.empty(record.n)
+    m.n = rows
+    r = np.empty(rows)
     lib.lib.zk_run(m, lib.doubles(r), lib.ffi.NULL, lib.ffi.NULL, lib.ffi.NULL)
     del alive
     return np.clip(r, -RAN_AWAY, RAN_AWAY)
@@ -299,13 +287,12 @@ def run_many(
     released = unbent(record, models[0], bandwidth, inner)
     places: dict[bytes, int] = {}
     packed = [pack(model.at(record.joint)) for model in models]
-    rests = _beside_effects_each(record, models)
     place = [
-        places.setdefault(table.tobytes() + rest, len(places))
-        for rest, (_, table) in zip(rests, packed, strict=True)
+        places.setdefault(_numbers(record, model, table), len(places))
+        for model, (_, table) in zip(models, packed, strict=True)
     ]
-    firsts = [place.index(i) for i in range(len(places))]
-    unlike = [models[i] for i in firsts]
+    unlike = [models[place.index(i)] for i in range(len(places))]
+    tables = [packed[place.index(i)] for i in range(len(places))]
     out = np.empty((n, len(unlike)))
     for begin in range(0, len(unlike), LANES):
         some = unlike[begin : begin + LANES]
@@ -313,16 +300,11 @@ def run_many(
             out[:, begin] = run(record, some[0], bandwidth, inner=inner).innovations
             continue
         m = lib.ffi.new("zk_model[]", LANES)
-        known: dict[bytes, tuple[int, list[Any]]] = {}  # lane, and what it points to
-        for lane, i in enumerate(firsts[begin : begin + LANES]):
-            if rests[i] not in known:
-                alive = fill(m + lane, record, models[i], bandwidth, inner, packed=packed[i])
-                known[rests[i]] = lane, alive
-            else:  # only its effects are others
-                like, (_, _, inertia, _) = known[rests[i]]
-                m[lane] = m[like]
-                m[lane].p = lib.doubles(packed[i][1])
-                m[lane].sub, m[lane].stiff = steps(record, models[i], inertia, inner)
+        known: dict[tuple[float, ...], tuple[Array, Array]] = {}
+        alive = [
+            fill(m + i, record, model, bandwidth, inner, known, tables[begin + i])
+            for i, model in enumerate(some)
+        ]
         finest = max(m[i].sub for i in range(len(some)))  # all take the same steps
         stiff = max(m[i].stiff for i in range(len(some)))
         for i in range(LANES):
@@ -332,24 +314,12 @@ def run_many(
         r = np.empty((n, LANES))
         lib.lib.zk_run_lanes(m, lib.doubles(r))
         out[:, begin : begin + len(some)] = r[:, : len(some)]
-        del known
+        del alive
     return out if len(unlike) == len(models) else out[:, place]
 
 
-def _beside_effects_each(record: JointRecord, models: Sequence[Model]) -> list[bytes]:
-    """The ``_beside_effects`` of models, of which most share all but the terms."""
-    first, bodies = models[0], body_terms(models[0])
-    rest = _beside_effects(record, first)
-    out = []
-    for model in models:
-        shared = model.mechanism is first.mechanism and model.actuator is first.actuator
-        shared = shared and model.sensor is first.sensor and body_terms(model) == bodies
-        out.append(rest if shared else _beside_effects(record, model))
-    return out
-
-
-def _beside_effects(record: JointRecord, model: Model) -> bytes:
-    """The numbers of a model on which one joint's prediction depends, but those of its effects."""
+def _numbers(record: JointRecord, model: Model, table: Array) -> bytes:
+    """The numbers of a model on which one joint's prediction depends; ``table``: of its effects."""
     j = record.joint
     numbers = [mechanism_value(model, key, j) for key in record.basis]
     numbers += [
@@ -359,7 +329,7 @@ def _beside_effects(record: JointRecord, model: Model) -> bytes:
     ]
     numbers += [model.actuator.delay, per_joint(model.sensor.offset, j, 0.0)]
     numbers += _body_numbers(model)
-    return np.array(numbers).tobytes()
+    return table.tobytes() + np.array(numbers).tobytes()
 
 
 def _key(
@@ -373,7 +343,7 @@ def _key(
     """The key of one joint's prediction: all that it depends on. ``packed``: its effects."""
     kinds, table = packed
     bodies = tuple((t.effect, t.joint) for t in body_terms(model))
-    numbers = table.tobytes() + _beside_effects(record, model)
+    numbers = _numbers(record, model, table)
     whole = model.kind, model.sensor.side, kinds.tobytes(), numbers, bodies
     return record.number, whole, bandwidth, inner, free_every
 
@@ -389,15 +359,23 @@ def fill(
     model: Model,
     bandwidth: float,
     inner: int,
+    known: dict[tuple[float, ...], tuple[Array, Array]] | None = None,
     packed: tuple[npt.NDArray[np.int32], Array] | None = None,
 ) -> list[Any]:
     """Fill a zk_model, given as a pointer. What it points to must outlive the call: it is returned,
-    or the record's. ``packed``: the joint's effects, where they are packed already.
+    or the record's. ``known``: inertia and bias by mechanism values; ``packed``: the joint's
+    effects, where they are packed already.
     """
     lib = native()
     p, ffi = lib.doubles, lib.ffi
     kinds, table = packed or pack(model.at(record.joint))
-    inertia, bias = record.inertia_and_bias(model)
+    values = tuple(
+        1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis
+    ) + _body_numbers(model)
+    known = {} if known is None else known
+    if values not in known:
+        known[values] = record.inertia_and_bias(model)
+    inertia, bias = known[values]
     if bandwidth not in record.filled:
         record.filled[bandwidth] = _of_record(record, bandwidth)  # the same by any thread
     ffi.memmove(m, record.filled[bandwidth], ffi.sizeof("zk_model"))
@@ -448,8 +426,6 @@ def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> tupl
         for term in model.at(record.joint)
         if (effect := get_effect(term.effect)).mechanism == "fluid_friction"
     )
-    if not damping > 0.0:
-        return inner, False
     least = max(float(np.min(inertia)) + added_inertia(model, record.joint), 1e-12)
     wanted = damping * record.sample_time / (LONGEST * least)
     while inner < min(wanted, MOST_STEPS):

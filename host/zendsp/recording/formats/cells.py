@@ -21,8 +21,9 @@ from zendsp.recording.units import to_si
 from zendsp_protocol.texts import counted
 
 READ = 1 << 24  # characters that become numbers at a time
-THOUSANDS = re.compile(r"(?<!\d)[1-9]\d{0,2}(\.\d{3})+,\d")  # 1.234,5: nothing else is written so
-NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
+BETWEEN_DIGITS = re.compile(r"\d,\d")
+NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|(?<!:\d\d)\.(?!\d{3}(\D|$))")  # 0.500, 1.5
+POINT = re.compile(r"(?<!:\d\d)\.")  # but of a time of day, 12:00:00.5
 # 01.02.2026, perhaps with 12:00:00: with points the day is first; 01/02/2026 may be both
 DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?![\d.])")
 EITHER_FIRST = re.compile(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}\b")
@@ -32,6 +33,7 @@ DAY_S = 86400.0
 # cells that stand for a number that is not there, as pandas, Python, spreadsheets and MATLAB say it
 NOTHING = ("", "NA", "N/A", "n/a", "#N/A", "<NA>", "null", "NULL", "None")
 SHOWN = 40  # characters of a line in a message
+SEEN = 1 << 12  # characters from the first comma on that tell what it is
 
 
 def numbers(
@@ -39,7 +41,7 @@ def numbers(
 ) -> Raw:
     """The columns of the file whose names are the keys of ``raw.units``."""
     names = list(raw.units)
-    decimal = _decimal(_year_first(rows[:4096]), delimiter)
+    decimal = _decimal(rows, delimiter)
     if not rows.strip():
         raise RecordingError(f"{path}: has column names but no rows")
     text = _pointed(_year_first(rows)) if decimal == "," else rows
@@ -84,22 +86,24 @@ def _table(text: str, delimiter: str, tell: Share | None) -> FloatArray:
 
 
 def _decimal(rows: str, delimiter: str) -> str:
-    """The decimal separator: a comma where nothing else explains it, then with points between
-    thousands (1.234,5); else a point.
+    """The decimal separator: a comma between digits where it parts no columns, then with no points
+    but those between thousands (1.234,5); else a point. It is looked for from the first line with a
+    comma on: a machine at rest may have whole numbers only.
     """
-    if delimiter == "," or "," not in rows:
+    at = rows.find(",")
+    if delimiter == "," or at < 0:
         return "."
-    whole = rows[: rows.rfind("\n")] or rows
-    return "," if "." not in rows or _parts_thousands(whole) else "."
-
-
-def _parts_thousands(text: str) -> bool:
-    return bool(THOUSANDS.search(text)) and not NO_THOUSANDS.search(text)
+    begin = rows.rfind("\n", 0, at) + 1
+    seen = _year_first(rows[begin : begin + SEEN])
+    whole = seen[: seen.rfind("\n")] if "\n" in seen else seen
+    return "," if BETWEEN_DIGITS.search(whole) and not NO_THOUSANDS.search(whole) else "."
 
 
 def _pointed(text: str) -> str:
-    """Numbers with decimal points, from those with decimal commas and points between thousands."""
-    bare = text.replace(".", "") if _parts_thousands(text) else text
+    """Numbers with decimal points, from those with decimal commas. Points are between thousands,
+    unless some cannot be.
+    """
+    bare = text if NO_THOUSANDS.search(text) else POINT.sub("", text)
     return bare.replace(",", ".")
 
 
