@@ -70,7 +70,7 @@ def test_a_paste_that_never_ends_does_not_take_stop_away(monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("web", [False, True])
 def test_f9_again_and_again_stops_where_the_end_of_a_paste_was_lost(web: bool) -> None:
-    """Each press renewed the two seconds after which a paste is over: 16 of them stopped nothing."""
+    """Each press renewed the two seconds after which a paste is over: 16 stopped nothing."""
     presses = stop_process.Presses(web)
 
     def read(data: bytes) -> list[object]:
