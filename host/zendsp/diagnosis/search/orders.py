@@ -87,7 +87,7 @@ def between(records: Sequence[JointRecord], series: Sequence[Array]) -> list[flo
     found: list[float] = []
     for begin, end in ((slow, first), (first, len(power))):
         peaks = [fine * (begin + k) for k in _tops(power[begin:end])]
-        found += [n for n in peaks if abs(n - round(n)) > apart or n < 0.5][:PEAKS]
+        found += [n for n in peaks if not round(n) or abs(n - round(n)) > apart][:PEAKS]
     return found
 
 
