@@ -93,13 +93,16 @@ class Implant:
 
     def other(self, aliases: Sequence[str]) -> tuple[int, ...]:
         """The places of terms that are an effect by another name, and so would be the finding; not
-        those of the given model, which are calibrated.
+        those of the given model, which are calibrated. And those of a gap that was found: no torque
+        moves it, and on its rough cost a fit is lost in what the instants of contacts do.
         """
         had = {t.effect for t in self.given}
         return tuple(
             i
             for i, t in enumerate(self.final.model.terms)
-            if t.joint == self.joint and t.effect in aliases and t.effect not in had
+            if t.joint == self.joint
+            and (t.effect in aliases or get_effect(t.effect).rough)
+            and t.effect not in had
         )
 
     def seen(self, term: Term, least: float) -> tuple[float, float]:
