@@ -4,6 +4,7 @@ weight and inertia.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -256,11 +257,13 @@ def _solve(
 
 
 def unexplained(sliding: Sliding, weighs: bool, slow: float = 0.0) -> float:
-    """Sum of squares that `fit_friction` leaves of an unknown machine's torques. Intervals take
-    most of a fit's time, and only the chosen one of many needs them.
+    """Sum of squares that `fit_friction` leaves of an unknown machine's torques; infinite where
+    what is to fall with speed would rise: beside a line that falls for ever it may explain as much.
+    Intervals take most of a fit's time, and only the chosen one of many needs them.
     """
-    left = _solve(sliding, weighs, True, slow, False, False).left
-    return float(left @ left)
+    solved = _solve(sliding, weighs, True, slow, False, False)
+    rises = slow > 0.0 and solved.x[solved.others] <= 0.0
+    return math.inf if rises else float(solved.left @ solved.left)
 
 
 def fit_friction(
