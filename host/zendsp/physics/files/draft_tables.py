@@ -19,6 +19,7 @@ from zendsp.physics.files.draft_data import (
     is_behind,
     one_or_each,
 )
+from zendsp.physics.files.draft_limit import is_cut_off
 from zendsp.physics.files.questions import ASKS
 from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
@@ -29,7 +30,6 @@ from zendsp_protocol.texts import shown
 TURN = 2.0 * np.pi  # rad
 COUNTS_A_TURN = 4096  # of an encoder of which nothing is known
 SAME = 1e-3  # two columns whose RMS difference is a smaller part of them hold the same
-SATURATED = 20  # samples at the largest command: it was cut off there
 
 
 class Page:
@@ -129,9 +129,9 @@ def _named_torque(command: Group) -> bool:
 
 def _limit(page: Page, command: Group) -> None:
     """Where the drive cuts off, if the recording shows it."""
-    peaks = np.max(np.abs(command.values), axis=0)
-    cut = np.sum(np.abs(command.values) > 0.9995 * peaks, axis=0) >= SATURATED
-    if np.any(cut & (peaks > 0)):
+    peaks = np.nanmax(np.abs(command.values), axis=0)
+    cut = [is_cut_off(column) for column in command.values.T]
+    if any(cut):
         limits = [float(f"{p:.4g}") if c else 0.0 for p, c in zip(peaks, cut, strict=True)]
         page.line(
             f"limit = {listed(limits)}",
