@@ -231,6 +231,22 @@ def test_lines_above_the_header_are_passed_over_and_told(
     assert not any("passed over" in note for note in read_table(path).notes)
 
 
+@pytest.mark.parametrize("above", ["", "Limits;-10;10;V;peak\n\n"])
+@pytest.mark.parametrize("units", ["", "s;;rad;N m\n"])
+def test_a_title_is_passed_over_where_a_column_holds_words(
+    tmp_path: Path, above: str, units: str
+) -> None:
+    """No line below the title was one of numbers only, so the title was taken for the names."""
+    path = tmp_path / "run.csv"
+    rows = ["0,000;up;0,1;1,5", "0,001;;0,2;1,6", "0,002;down;0,3;1,7", "0,003;up;0,4;"]
+    path.write_text("Test bench; run 7\n" + above + "t;phase;q;u\n" + units + "\n".join(rows))
+    table = read_table(path)
+    assert list(table.columns) == ["t", "q", "u"]
+    assert "phase: left out, it holds text" in table.notes
+    np.testing.assert_allclose(table["q"], [0.1, 0.2, 0.3, 0.4])
+    assert "passed over" in table.notes[0]
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zendsp.errors import RecordingError
-from zendsp.recording.formats.cells import is_number, is_value, numbers
+from zendsp.recording.formats.cells import NOTHING, is_number, is_value, numbers
 from zendsp.recording.formats.raw import Raw, Share, check_room
 from zendsp.recording.names import split_quotients, split_unit
 from zendsp.recording.units import to_si
@@ -145,21 +145,31 @@ def _quotes_decimals(rows: str, width: int) -> bool:
 
 def _preface(body: str) -> int:
     """The number of lines above the header: the one line, perhaps with a row of units below it,
-    that has as many fields as the numbers that follow. 0 where it is the first, or not sure.
+    that has as many fields as the rows that follow. 0 where it is the first, or not sure.
     """
     lines = body[:HEAD].split("\n")[:-1][: PREFACE + ALIKE]
     for delimiter in (";", "\t", ","):
         bare = [line.removesuffix(delimiter) for line in lines]
         fields = [next(csv.reader([line], delimiter=delimiter), []) for line in bare]
-        width = [len(cells) if all(map(is_value, cells)) else 0 for cells in fields]
-        first = next((k for k, n in enumerate(width) if n > 1), 0)
-        named = [k for k in range(first) if len(fields[k]) == width[first]]
-        if not named or {*width[first : first + ALIKE]} != {width[first]}:
+        first = next((k for k in range(len(fields)) if _alike(fields[k : k + ALIKE])), 0)
+        named = [k for k in range(first) if len(fields[k]) == len(fields[first])]
+        if not named:
             continue
-        units = _unit_row(lines[first - 1], delimiter, width[first])
+        units = _unit_row(lines[first - 1], delimiter, len(fields[first]))
         if named[0] == first - 1 or (named == [first - 2, first - 1] and units):
             return named[0]
     return 0
+
+
+def _alike(rows: list[list[str]]) -> bool:
+    """Whether rows part alike: two or more columns of values, and perhaps some of words."""
+    if len({len(cells) for cells in rows}) > 1:
+        return False
+    kinds = [
+        {is_value(cell) for cell in column if cell.strip() not in NOTHING}
+        for column in zip(*rows, strict=True)
+    ]
+    return all(len(kind) < 2 for kind in kinds) and kinds.count({True}) > 1
 
 
 def _stamped(raw: Raw) -> Raw:
