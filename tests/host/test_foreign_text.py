@@ -401,6 +401,10 @@ def test_a_german_time_stamp_is_the_time() -> None:
         (["7;999;2,5", "8;1.000;2,5"], [1000.0, 2.5]),  # 1.000 was one
         (["7;0;0"] * 900 + ["8;3;1,5"], [3.0, 1.5]),  # at rest there were no commas
         (["7;12.345;2.5", "8;1.007;2.5"], [1.007, 2.5]),
+        (["7;1.000,5;v1.2", "8;1.000;v1.2"], [1000.0]),  # words say nothing of numbers
+        (["7;0,5;rev 1.2"] * 900 + ["8;1.000;v1.2"], [1000.0]),
+        (["7;0,5;ok"] * 900 + ["8;1.000;1.2.3"], [1000.0]),
+        (["7;0,5;12:00:00.500", "8;1.000;12:00:01.500"], [1000.0, 1.0]),
     ],
 )
 def test_a_point_beside_decimal_commas_is_between_thousands(
@@ -411,9 +415,10 @@ def test_a_point_beside_decimal_commas_is_between_thousands(
     assert Recording.load(file).data[-1].tolist() == last
 
 
-def test_a_cell_of_many_points_holds_nobody_up(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cell", ["1.111", "1.", "111", "x", "1.000", "(1,"])
+def test_a_cell_of_many_points_holds_nobody_up(tmp_path: Path, cell: str) -> None:
     """64 kB of them took 19 s."""
     file = tmp_path / "run.csv"
-    file.write_text("t;q;tau\n0;" + "1.111" * 30_000 + ";2,5\n")
+    file.write_text("t;q;tau\n0;" + cell * 30_000 + ";2,5\n1;x.y;3,5\n")
     with pytest.raises(RecordingError):
         Recording.load(file)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import os
+import resource
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ import scipy.io
 from makers import mdf
 
 from zendsp.errors import RecordingError
-from zendsp.recording import read_table
+from zendsp.recording import Recording, read_table
 from zendsp.recording.formats import apart
 
 
@@ -131,3 +132,52 @@ def test_one_process_reads_many_files_and_another_follows_where_it_ended(
     assert list(apart._readers.values()) != [reader]
     for other in (again, third):
         assert all(np.array_equal(first[c], other[c], equal_nan=True) for c in first.columns)
+
+
+@pytest.mark.parametrize("begin", [
+    b"\x80\4K\1.", b"t,q,u\n0,1,2\n", b"\x93NUMPY\1\0", b"PK.", b"PK\3\4",
+])  # fmt: skip
+def test_what_is_no_archive_gets_no_advice_to_load_it_unsafely(
+    tmp_path: Path, begin: bytes
+) -> None:
+    """NumPy says of any such file that it is a pickle, and how to run what is in it."""
+    path = tmp_path / "run.npz"
+    path.write_bytes(begin + bytes(range(200)))
+    with pytest.raises(RecordingError, match=r"run\.npz: is (not a readable NPZ|a single)") as said:
+        read_table(path)
+    assert "pickle" not in str(said.value)
+
+
+@pytest.mark.parametrize("begin", [b"", b"t,q,u\n0,1,2\n", "\ufefft,q\n".encode("utf-16-le")])
+def test_a_vast_file_of_nothing_is_refused_by_its_first_bytes(tmp_path: Path, begin: bytes) -> None:
+    """One of 2 GB took 27 s: it was read as a whole."""
+    path = tmp_path / "sparse.csv"
+    with path.open("wb") as file:
+        file.write(begin)
+        file.truncate(1 << 30)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(RecordingError, match="is not text"):
+        read_table(path)
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before  # kB
+    assert grown < 1 << 18, "a quarter of it"
+
+
+def test_a_text_that_is_larger_than_the_memory_is_refused_by_its_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, memory = tmp_path / "run.csv", tmp_path / "meminfo"
+    path.write_text("t,q\n" + "0.001,0\n" * 100_000)
+    memory.write_text("MemAvailable: 1000 kB\n")
+    monkeypatch.setattr("zendsp.recording.formats.raw.MEMORY", memory)
+    with pytest.raises(RecordingError, match=r"says that it holds 0\.0 GB"):
+        read_table(path)
+
+
+@pytest.mark.parametrize("said", ["null", "[]", "7", '"q"', "{}"])
+def test_a_description_that_is_no_table_of_names_is_refused_as_damaged(
+    tmp_path: Path, said: str
+) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(f"t,q\n0,1\n1,2\n# zendsp {said}\n")
+    with pytest.raises(RecordingError, match=r"run\.csv: its description is damaged"):
+        Recording.load(path)

@@ -22,8 +22,10 @@ from zendsp_protocol.texts import counted
 
 READ = 1 << 24  # characters that become numbers at a time
 BETWEEN_DIGITS = re.compile(r"\d,\d")
-NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|(?<!:\d\d)\.(?!\d{3}(\D|$))")  # 0.500, 1.5
-POINT = re.compile(r"(?<!:\d\d)\.")  # but of a time of day, 12:00:00.5
+NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
+# a cell that may hold a number, with points and commas for either, or numbers in brackets
+NUMBER = r"[+-]?(?:\d+|\d{1,3}(?:\.\d{3})+|\d{1,3}(?:,\d{3})+)?(?:[.,]\d*)?(?:[eE][+-]?\d+)?"
+NUMERIC = re.compile(rf'[\s"]*(?:{NUMBER}|[\[(][-+\d.,eE\s]*[\])])[\s"]*')
 # 01.02.2026, perhaps with 12:00:00: with points the day is first; 01/02/2026 may be both
 DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?![\d.])")
 EITHER_FIRST = re.compile(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}\b")
@@ -44,7 +46,7 @@ def numbers(
     decimal = _decimal(rows, delimiter)
     if not rows.strip():
         raise RecordingError(f"{path}: has column names but no rows")
-    text = _pointed(_year_first(rows)) if decimal == "," else rows
+    text = _pointed(_year_first(rows), delimiter) if decimal == "," else rows
     try:
         table = _table(text, delimiter, tell)
         if table.shape[1] != len(names):
@@ -96,15 +98,35 @@ def _decimal(rows: str, delimiter: str) -> str:
     begin = rows.rfind("\n", 0, at) + 1
     seen = _year_first(rows[begin : begin + SEEN])
     whole = seen[: seen.rfind("\n")] if "\n" in seen else seen
-    return "," if BETWEEN_DIGITS.search(whole) and not NO_THOUSANDS.search(whole) else "."
+    cells = re.findall(_cells_with(",", delimiter), whole)
+    commas = any(NUMERIC.fullmatch(c) and BETWEEN_DIGITS.search(c) for c in cells)
+    return "," if commas and _in_thousands(whole, delimiter) else "."
 
 
-def _pointed(text: str) -> str:
+def _cells_with(mark: str, delimiter: str) -> str:
+    """The pattern of a cell with this mark, tried once a cell."""
+    return rf"(?<![^{delimiter}\n])[^{delimiter}\n{mark}]*[{mark}][^{delimiter}\n]*"
+
+
+def _in_thousands(text: str, delimiter: str) -> bool:
+    """Whether all points of numbers, if there are any, can stand between thousands. A word such as
+    v1.2 says nothing of them.
+    """
+    cells = (found[0] for found in re.finditer(_cells_with(".", delimiter), text))
+    return not any(NO_THOUSANDS.search(cell) and NUMERIC.fullmatch(cell) for cell in cells)
+
+
+def _pointed(text: str, delimiter: str) -> str:
     """Numbers with decimal points, from those with decimal commas. Points are between thousands,
     unless some cannot be.
     """
-    bare = text if NO_THOUSANDS.search(text) else POINT.sub("", text)
-    return bare.replace(",", ".")
+    if _in_thousands(text, delimiter):
+        text = re.sub(_cells_with(".", delimiter), _without_points, text)
+    return text.replace(",", ".")
+
+
+def _without_points(cell: re.Match[str]) -> str:
+    return cell[0].replace(".", "") if NUMERIC.fullmatch(cell[0]) else cell[0]
 
 
 def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
@@ -194,7 +216,7 @@ def _first_fault(
                 f" header names {len(names)}: correct it, or take it out{above}"
             )
         for name, cell in zip(names, cells, strict=False):
-            text = _pointed(cell.strip()) if decimal == "," else cell.strip()
+            text = _pointed(cell.strip(), delimiter) if decimal == "," else cell.strip()
             if text not in NOTHING and not is_number(text):
                 comma = decimal == "," and any(c.isdigit() for c in cell)
                 others = " with a decimal comma, as the others are" * comma
@@ -212,7 +234,8 @@ def _where_named(path: Path, rows: str, delimiter: str, decimal: str, first_line
     lines = csv.reader(io.StringIO(rows), delimiter=delimiter)
     words: list[list[str]] = []
     for cells in lines:
-        plain = [_pointed(c.strip()) if decimal == "," else c.strip() for c in cells]
+        bare = [c.strip() for c in cells]
+        plain = [_pointed(c, delimiter) if decimal == "," else c for c in bare]
         if plain and all(map(is_number, plain)):
             break
         words.append(plain)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
 
 MARK = "# zendsp "
-PIECE = 1 << 26  # bytes that are unpacked at a time
+FIRST, PIECE = 1 << 12, 1 << 26  # bytes that are read first, and then at a time
 TITLE = "# A recording of zendsp"
 # "0,5" in quotes; "1,234" may have its comma between thousands
 QUOTED_COMMA = re.compile(r'" *[+-]?(?:0,\d|\d+,(?!\d{3}\D))')
@@ -212,8 +212,7 @@ def _apart(text: str) -> tuple[str, str]:
 
 def _text(path: Path) -> str:
     try:
-        raw = _unpacked(path) if path.suffix == ".gz" else path.read_bytes()
-        return _decoded(path, raw).replace("\r\n", "\n").replace("\r", "\n")
+        return _decoded(path, _bytes(path)).replace("\r\n", "\n").replace("\r", "\n")
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise RecordingError(
             f"{path}: is not a readable gzip file, or it is cut short ({error})"
@@ -222,16 +221,26 @@ def _text(path: Path) -> str:
         raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error
 
 
-def _unpacked(path: Path) -> bytes:
-    """The unpacked bytes of a file; refused where they do not fit into memory, since a few bytes
-    may unpack to a thousand times as many.
+def _bytes(path: Path) -> bytes:
+    """The bytes of a file, unpacked. What does not fit into memory is refused, by the size of the
+    file or as it unpacks, to a thousand times as many bytes; and what is no text, by its first
+    piece that is none.
     """
     raw = bytearray()
-    with gzip.open(path) as file:
-        while piece := file.read(PIECE):
+    if path.suffix != ".gz":
+        check_room(path, path.stat().st_size)
+    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        while piece := file.read(PIECE if raw else FIRST):
             raw += piece
             check_room(path, len(raw))
+            if _has_nul(piece, wide=raw[:2] in UTF_16):
+                raise _no_text(path)
     return bytes(raw)
+
+
+def _has_nul(piece: bytes, *, wide: bool) -> bool:
+    """Whether a character 0 is among them, of which no text has one; ``wide``: of two bytes."""
+    return not np.frombuffer(piece[: len(piece) & ~1], np.uint16).all() if wide else b"\0" in piece
 
 
 def _decoded(path: Path, raw: bytes) -> str:
@@ -243,7 +252,11 @@ def _decoded(path: Path, raw: bytes) -> str:
             text = raw.decode(encoding)
             if "\0" not in text:
                 return text
-    raise RecordingError(
+    raise _no_text(path)
+
+
+def _no_text(path: Path) -> RecordingError:
+    return RecordingError(
         f"{path}: is not text; is it a file of another kind? Then give it that kind's suffix"
     )
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
 
 KEY = "zendsp"
+ZIP, NPY = (b"PK\3\4", b"PK\5\6"), b"\x93NUMPY"  # how an archive and a single array begin
 
 
 def write(recording: Recording, metadata: str, path: Path) -> None:
@@ -34,13 +35,14 @@ def read(path: Path) -> Raw:
     columns, constants, refused = {}, {}, {}
     metadata = ""
     try:
+        _check_archive(path)
         with np.load(path, allow_pickle=False) as archive:
             check_room(path, sum(_size(archive, name) for name in archive.files))
             for name in archive.files:
                 try:
                     values = archive[name]
-                except ValueError as error:  # object arrays
-                    refused[name] = f"is not a plain numeric array ({error})"
+                except ValueError:  # NumPy would advise to allow them
+                    refused[name] = "is not a plain numeric array, but a pickle"
                     continue
                 if name == KEY and values.dtype.kind == "U":
                     metadata = str(values[()])
@@ -61,6 +63,16 @@ def read(path: Path) -> Raw:
             f"{path}: is not a readable NPZ file, or it is cut short ({error})"
         ) from error
     return Raw(columns, _units(metadata), constants, metadata, refused)
+
+
+def _check_archive(path: Path) -> None:
+    """Refuse what is none: NumPy takes it for a pickle, and says how to load that unsafely."""
+    with path.open("rb") as file:
+        begin = file.read(len(NPY))
+    if begin == NPY:
+        raise RecordingError(f"{path}: is a single array; save several, each with its name, in NPZ")
+    if not begin.startswith(ZIP):
+        raise zipfile.BadZipFile("it does not begin as an archive of arrays does")
 
 
 def _size(archive: Any, name: str) -> int:
