@@ -174,3 +174,48 @@ def test_where_no_program_is_loaded_a_latched_stop_is_named_before_it(runtime: R
     assert refusal.startswith("STOP") and refusal.endswith(": acknowledge it first"), refusal
     lab.acknowledge(lab.ask("acknowledge"))
     assert lab.ask("start") == "no program is loaded: compile and load one first"
+
+
+# Writes over the page of STOP in sample 5, as a stray pointer may, and crashes: no loop mends it.
+STRAY = """
+#include "isr.h"
+#include <stdio.h>
+#include <string.h>
+static unsigned char *page;
+static int samples;
+void UserInit(void) {
+    char line[512];
+    FILE *maps = fopen("/proc/self/maps", "r");
+    while (maps && fgets(line, sizeof line, maps)) {
+        void *begin;
+        if (strstr(line, " rw") && strstr(line, "/stop\\n") && sscanf(line, "%p", &begin) == 1)
+            page = begin;
+    }
+}
+void UserISR_INT2(void) {
+    if (++samples < 5 || !page) return;
+    memset(page, 255, 128);
+    *(volatile int *)8 = 1;
+}
+"""
+
+
+@pytest.mark.parametrize("sure", [None, "the trip that is seen"])
+def test_user_code_that_writes_over_the_page_of_stop_does_not_lock_the_target(
+    runtime: Runtime, sure: str | None
+) -> None:
+    """The number of trips left its 32 bits: no acknowledgement could be kept, so nothing could be
+    loaded or started again.
+    """
+    lab = Lab(runtime, 0)
+    key = lab.desk.ask("compile", sources={"user.c": STRAY}).key
+    assert lab.ask("load", key=key) == ""
+    assert lab.ask("start", ticks=100) == ""
+    until(lambda: lab.desk.ask("status").trip is not None, "it is stopped", lab.told)
+    assert lab.ask("unload") == ""
+    status = lab.desk.ask("status")
+    assert status.trip is not None and status.trip.number < 1 << 32, lab.told()
+    meant = {"trip": status.trip.number} if sure else {}
+    assert lab.ask("acknowledge", **meant) == "", lab.told()
+    assert lab.desk.ask("status").trip is None
+    assert lab.ask("load", key=lab.good) == "" and lab.ask("start", ticks=5) == "", lab.told()
