@@ -326,6 +326,22 @@ def test_a_foreign_file_is_cut_at_its_gaps_and_keeps_its_columns(tmp_path: Path)
         read_parts(tmp_path / "run.csv", time="when")
 
 
+@pytest.mark.parametrize("name", ["run.csv", "run.npz"])
+def test_cut_says_which_columns_it_leaves_out(
+    tmp_path: Path, typed: Callable[..., tuple[object, str, str]], name: str
+) -> None:
+    path, part = tmp_path / name, tmp_path / "part.csv"
+    if name.endswith(".npz"):
+        np.savez(path, t=np.arange(9.0), q=np.arange(9.0), phase=np.array(["up"] * 9))
+    else:
+        path.write_text("t,q,phase\n" + "".join(f"{k},{k},up\n" for k in range(9)))
+    status, said, _ = typed("cut", path, "--to", 5, "-o", part)
+    assert not status
+    assert said.startswith(f"{part}: 5 rows, 4 s\n  phase: left out, it holds "), said
+    status, said, _ = typed("cut", part, "--to", 3, "-o", tmp_path / "less.csv", "--json")
+    assert not status and json.loads(said)[0]["notes"] == [], "of this file nothing is left out"
+
+
 def test_times_left_out_of_a_recording_split_it(
     recording: Recording, tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:

@@ -36,17 +36,17 @@ def command(
 
     What a diagnosis refuses as two runs glued together becomes two recordings; what --without
     leaves out parts a recording too, so that nothing bridges it. The columns keep their names, and
-    are in SI units; time is called t.
+    are in SI units; time is called t. Columns of words and days are left out, which is said.
 
     Example:  zendsp cut run.csv --from 1.5 --to 20 -o part.csv
     """
     from zendsp.errors import RecordingError
-    from zendsp.recording.cut import read_parts
+    from zendsp.recording.cut import read_cut
     from zendsp.recording.files import check_suffix
 
     check_suffix(out)
     left_out = [_range(text) for text in parse_names(without)]
-    parts = read_parts(recording, begin, end, parse_names(finite), time, left_out)
+    parts, said = read_cut(recording, begin, end, parse_names(finite), time, left_out)
     files = [
         out.with_stem(f"{out.stem}-{k}") if len(parts) > 1 else out
         for k in range(1, len(parts) + 1)
@@ -71,9 +71,12 @@ def command(
         raise
     made = [(str(f), len(p), float(p.t[-1] - p.t[0])) for f, p in zip(files, parts, strict=True)]
     emit(
-        [{"file": file, "rows": rows, "seconds": seconds} for file, rows, seconds in made],
+        [{"file": f, "rows": rows, "seconds": s, "notes": list(said)} for f, rows, s in made],
         as_json,
-        "\n".join(f"{file}: {counted(rows, 'row')}, {s:.6g} s" for file, rows, s in made),
+        "\n".join([
+            *(f"{file}: {counted(rows, 'row')}, {s:.6g} s" for file, rows, s in made),
+            *(f"  {note}" for note in said),
+        ]),
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from zendsp.errors import RecordingError
-from zendsp.recording.files import load
+from zendsp.recording.files import load_said
 from zendsp.recording.recording import Recording
 
 LONG, SLOW = 50, 0.1  # sample times, s: a longer step of time is a gap that is not bridged
@@ -56,7 +56,21 @@ def read_parts(
     >>> for k, part in enumerate(read_parts("run.csv", begin=1.5)):  # doctest: +SKIP
     ...     part.save(f"run_{k}.csv")
     """
-    rec = load(Path(path).expanduser(), Recording, time)
+    return read_cut(path, begin, end, finite, time, without)[0]
+
+
+def read_cut(
+    path: str | Path,
+    begin: float = 0.0,
+    end: float = np.inf,
+    finite: Sequence[str] = (),
+    time: str = "",
+    without: Sequence[tuple[float, float]] = (),
+) -> tuple[list[Recording], tuple[str, ...]]:
+    """What `read_parts` returns, and what was done to the columns on the way: units converted,
+    columns of words left out.
+    """
+    rec, said = load_said(Path(path).expanduser(), Recording, time)
     t = rec.t - rec.t[0] if len(rec) else rec.t
     keep = (t >= begin) & (t < end)
     for name in finite:
@@ -77,7 +91,7 @@ def read_parts(
     for first, last in without:
         apart |= (t[rows[:-1]] < first) & (t[rows[1:]] >= last)
     breaks = np.flatnonzero(apart) + 1
-    return [_part(rec, chosen) for chosen in np.split(rows, breaks)]
+    return [_part(rec, chosen) for chosen in np.split(rows, breaks)], said
 
 
 def _part(rec: Recording, rows: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Recording:

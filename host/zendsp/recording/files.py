@@ -142,8 +142,18 @@ def _plain(value: Any) -> Any:
 
 def load(path: Path, kind: type[Kind], time: str | None = None) -> Kind:
     """See `Recording.load`. ``time`` is the column of time in a file of another program."""
+    return load_said(path, kind, time)[0]
+
+
+def load_said(
+    path: Path, kind: type[Kind], time: str | None = None
+) -> tuple[Kind, tuple[str, ...]]:
+    """The same, and what was done to the columns on the way, and which were left out."""
     raw = read_raw(path)
-    return _own(path, raw, kind) if raw.metadata else _foreign(path, raw, kind, time)
+    if raw.metadata:
+        return _own(path, raw, kind), ()  # its notes are of when it was made
+    foreign = _foreign(path, raw, kind, time)
+    return foreign, tuple(foreign.extra["notes"])
 
 
 def _own(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
@@ -169,15 +179,20 @@ def _foreign(path: Path, raw: Raw, kind: type[Kind], asked: str | None) -> Kind:
     )
     time = asked or next(times, None)
     if time is None or time not in columns:
-        said = "".join(f" ({note})" for note in raw.notes)
+        noted = "".join(f" ({note})" for note in raw.notes)
         raise RecordingError(
             f"{path}: has no time column ({asked or ' or '.join(TIMES[:2])}); it has"
-            f" {listing(list(columns))}{said}. Use zendsp.recording.read_table for a table"
+            f" {listing(list(columns))}{noted}. Use zendsp.recording.read_table for a table"
             " without a time base"
         )
     t = columns.pop(time)
     units.pop(time, None)
     if len(t) == 0:
         raise RecordingError(f"{path}: has column names but no rows")
-    extra = Extra(constants=raw.constants, notes=[*raw.notes, *notes], time_column=time)
+    left_out = [
+        f"{name}: left out, it {why}" for name, why in raw.refused.items()
+        if not any(note.startswith(f"{name}: ") for note in raw.notes)  # its reader has said so
+    ]  # fmt: skip
+    said = [*raw.notes, *left_out, *notes]
+    extra = Extra(constants=raw.constants, notes=said, time_column=time)
     return kind.from_columns(columns, t=t, units=units, extra=extra)
