@@ -17,10 +17,13 @@ def check_name(name: str) -> str:
     Raises
     ------
     ValueError
-        Empty, longer than 64 characters, or with characters that keys cannot hold.
+        Empty, longer than 64 characters, with characters that keys cannot hold, or of points
+        alone, which a path takes for a folder.
     """
-    if not _NAME.fullmatch(name):
-        raise ValueError(f"target name {name!r}: use 1 to 64 letters, digits, '_', '-' or '.'")
+    if not _NAME.fullmatch(name) or not name.strip("."):
+        raise ValueError(
+            f"target name {name!r}: use 1 to 64 letters, digits, '_', '-' or '.', not '.' alone"
+        )
     return name
 
 

@@ -177,7 +177,7 @@ def test_texts_from_elsewhere_command_no_terminal() -> None:
 
 def test_names_that_keys_cannot_hold_are_refused() -> None:
     assert keys.check_name("imi-1.b_2") == "imi-1.b_2"
-    for name in ("", "a/b", "a*", "x" * 65, "a b", "ä"):
+    for name in ("", "a/b", "a*", "x" * 65, "a b", "ä", ".", "..", "..."):
         with pytest.raises(ValueError, match="target name"):
             keys.check_name(name)
     assert keys.target_of(keys.variable("imi", "Kp")) == "imi"
