@@ -19,10 +19,13 @@ from small_models import model_of
 from zendsp.diagnosis import Diagnosis, diagnose, engine
 from zendsp.diagnosis.decide import detectable as sizes
 from zendsp.diagnosis.decide import implants
+from zendsp.diagnosis.decide.claims import Near
 from zendsp.diagnosis.decide.detectable import detectable
+from zendsp.diagnosis.decide.findings import Estimate, Finding
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.report.html import _could_not
+from zendsp.diagnosis.report.missed import missed
 from zendsp.diagnosis.report.summary import hidden as hidden_words
 from zendsp.diagnosis.report.summary import summary
 from zendsp.diagnosis.search.screen import FIRST_ORDER
@@ -245,15 +248,33 @@ def test_what_would_not_be_seen_even_if_large_is_said(decided: Decided) -> None:
 
 def test_an_effect_that_was_found_is_not_said_to_be_beyond_sight() -> None:
     """A ripple of order 6 was found, and the same page said that one would not be seen."""
-    ripple = Detectable(1, "position_torque", "ripple", math.inf, "N m", 0.0, {"order": 6.0})
-    slow = replace(ripple, effect="stribeck", at={"velocity": 0.05})
-    one = SimpleNamespace(effect="ripple", joint=1)
+    ripple = Detectable(1, "position_torque", "ripple", math.inf, "N m", 0.0, {"order": 3.0})
+    slow = replace(ripple, effect="stribeck", mechanism="dry_friction", at={"velocity": 0.05})
+    delay = replace(slow, effect="delay", mechanism="actuator", at={})
+    numbers = {"order": Estimate(6.01, 0.01, "1"), "amplitude": Estimate(0.1, 0.01, "N m")}
+    one = Finding("ripple", 1, numbers, 0.99, 0.9, (), (), "", mechanism="position_torque")
     d: Any = SimpleNamespace(findings=[one], given=model_of())
-    seen = [ripple, slow, replace(slow, joint=2), replace(slow, effect="delay", at={})]
-    assert hidden_words(seen, d) == (
-        "another ripple (joint 1 at order 6), stribeck (joint 1 at velocity 0.05 rad/s, joint 2 at"
+    seen = [replace(ripple, at={"order": 6.0}), ripple, slow, replace(slow, joint=2), delay]
+    left = missed(seen, [one], [])
+    assert left == tuple(seen[1:])
+    assert hidden_words(left, d) == (
+        "another ripple (joint 1 at order 3), stribeck (joint 1 at velocity 0.05 rad/s, joint 2 at"
         " velocity 0.05 rad/s), delay (joint 1)"
     )
+
+
+def test_what_the_report_names_otherwise_is_not_said_to_be_missed() -> None:
+    """A law that cannot be told from the found one; a curve that is drawn without a law; the law
+    that an unexplained torque is most like.
+    """
+    at = Detectable(1, "dry_friction", "stribeck", math.inf, "N m", 0.0, {"velocity": 0.05})
+    creep, other = replace(at, effect="presliding", at={}), replace(at, joint=2)
+    coulomb = Finding("coulomb", 1, {}, 0.99, 0.9, ("stribeck",), (), "", mechanism="dry_friction")
+    assert missed([at, creep, other], [coulomb], []) == (creep, other)
+    unknown = replace(coulomb, effect="unknown", indistinguishable=())
+    assert missed([at, creep, other], [unknown], []) == (other,)
+    near: Any = SimpleNamespace(joint=1, near=Near("stribeck", 0.1, 0.01, "", ("presliding",)))
+    assert missed([at, creep, other], [], [near]) == (other,)
 
 
 @pytest.mark.parametrize(

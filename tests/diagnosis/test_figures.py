@@ -28,6 +28,7 @@ from zendsp.diagnosis.report.drawing import SPANS, draw, places
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import in_waves, unclaimed_chart
 from zendsp.diagnosis.report.sides import torque_label
+from zendsp.diagnosis.report.times import joints_at, times_in_words
 from zendsp.physics.files.model_file import load_model, parse_model
 
 MODEL = """
@@ -160,6 +161,33 @@ def test_a_time_is_shaded_only_at_the_joints_that_lack_more_then(coarse: Diagnos
     span = (float(mine.time[0]), float(mine.time[0]) + 1.5)
     d = replace(coarse, missing={1: [lacks], 2: [other]}, times=(span,), times_of=("run1.csv",))
     assert figures._times_of(d, 1) == (span,) and figures._times_of(d, 2) == ()
+
+
+def test_times_are_told_with_the_joints_at_which_torque_is_missing_then(coarse: Diagnosis) -> None:
+    """Of an arm the page said "In time: 5.96–6.34 s", and of which joint, nobody knew."""
+    (mine,) = coarse.missing[1]
+    begin = float(mine.time[0])
+
+    def lacking(first: float) -> list[Missing]:
+        """For a fifth of a second."""
+        then = (begin + first < mine.time) & (mine.time < begin + first + 0.2)
+        return [replace(mine, torque=np.where(then, 1.0, 0.01))]
+
+    spans = tuple((begin + k, begin + k + 0.2) for k in (1.0, 3.0, 2.0))
+    missing = {1: lacking(1.0), 2: lacking(3.0), 3: lacking(3.0)}
+    name = mine.recording
+    d = replace(coarse, missing=missing, times=spans, times_of=(name,) * 3, workings=None)
+    assert times_in_words(d, ("",) * 3, 3, begin) == (
+        "joint 1: 1.00–1.20 s; joints 2 and 3: 3.00–3.20 s; 2.00–2.20 s"
+    )
+    assert times_in_words(d, (name,) * 3, 1, begin) == f"joint 1: 1.00–1.20 s of {name}; 2 more"
+    one = replace(d, missing={1: missing[1]})
+    assert times_in_words(one, ("",) * 3, 1, begin) == "1.00–1.20 s and 2 more"
+    push = SimpleNamespace(intervals=spans[2:], recordings=(name,))
+    pushed: Any = SimpleNamespace(joint=2, beside=None, bursts=push)
+    assert isinstance(coarse.workings, Workings)
+    d = replace(d, workings=replace(coarse.workings, decisions=[pushed]))
+    assert joints_at(d, 2) == (2,) and joints_at(d, 0) == (1,)
 
 
 def test_a_coarse_encoder_does_not_inflate_the_missing_torque(coarse: Diagnosis) -> None:

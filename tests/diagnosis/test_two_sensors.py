@@ -13,6 +13,7 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.data.used import columns_beside_a_call, used_columns
 from zendsp.diagnosis.decide.confidence import SUREST
 from zendsp.diagnosis.decide.findings import Estimate, Finding
 from zendsp.diagnosis.decide.remember import remembered
@@ -267,6 +268,38 @@ def _speed(made: dict[str, np.ndarray]) -> np.ndarray:
 def test_a_column_that_the_recording_lacks_is_named() -> None:
     signals = read_signals(recording(dict(columns((), 1))), model(current="i"))
     assert any("current was not used: no column 'i'" in note for note in signals.notes)
+
+
+def test_of_every_column_that_is_named_it_is_said_how_it_is_used_or_that_it_is_not() -> None:
+    """A current, a temperature, a torque and a reference passed without a word."""
+    made = dict(columns((), 1))
+    noise = 1e-3 * np.random.default_rng(1).normal(size=(2, len(made["q"])))
+    made |= {"i": 3.0 * made["u"] + noise[0], "tau": made["u"] + noise[1], "r": made["q"]}
+    made |= {"warm": 20.0 + made["t"], "none": np.full(len(made["q"]), np.nan)}
+    roles = {"reference": "r", "current": "i", "temperature": "warm", "torque_measured": "tau"}
+    roles["position_load"] = "none"
+    given = model(**roles)
+    read = read_signals(recording(made), given)
+    assert used_columns([read], given) == [
+        "reference was used: what the position holds was checked by it",
+        "current of joint 1 was used: it follows the command, so there is no dead_zone or"
+        " saturation or voltage_limit, and none was tried",
+        f"temperature was used (20 to {20 + made['t'][-1]:.4g}): friction_temperature reads it",
+        "torque_measured of joint 1 was used: it parts what acts before the sensor from what acts"
+        " after it",
+        "position_load was not used: it holds no numbers",
+    ]
+    cold = read_signals(recording({**made, "warm": np.full(len(made["q"]), 20.0)}), given)
+    assert (
+        "temperature was not used: it is constant (20), and only friction_temperature reads it"
+        in used_columns([cold], given)
+    )
+    assert len(columns_beside_a_call([read], given)) == len(roles), "or that no call takes it"
+    lacking = model(reference="x")
+    assert used_columns([read_signals(recording(made), lacking)], lacking) == [
+        "reference was not used: no recording has its column"
+    ]
+    assert not used_columns([read], model()), "of columns that it does not name nothing is said"
 
 
 @pytest.mark.parametrize(("motor", "load", "side"), [(0.03, 0.0, "before"), (0.0, 0.03, "after")])

@@ -21,6 +21,7 @@ from zendsp.diagnosis.data.prepare import at_their_poses, of_one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import halves, read_divided
+from zendsp.diagnosis.data.used import used_columns
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.contract import Rejected, Verdict, listed
@@ -53,6 +54,7 @@ from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.files import left_out
+from zendsp.diagnosis.report.missed import missed
 from zendsp.diagnosis.report.sides import clearest, sides
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
 from zendsp.diagnosis.search.joint_zeros import OtherZero, with_zero
@@ -253,7 +255,7 @@ def _with_zeros_given(
         others=tuple(others),
         discrepancy=tuple(left_at(d) for d in decisions),
         detectable=tuple(x for x in seen if x.is_shown),
-        undetectable=tuple(x for x in seen if not x.is_shown),
+        undetectable=missed(seen, (*findings, *refinements), decisions),
         rejected=rejected,
         next_recording=looked.proposal,
         seconds=time.perf_counter() - begin,
@@ -416,7 +418,10 @@ def _ready(
         stated = {s.whole or s.name for s in (*fit_signals, *held) if s.unit_stated}
         check_motion(everything, given, names, stated)
         check_zeros(everything, given)
-    return read, parts, [*notes, *how, *check_given(everything, given), *check_excitation(fit)]
+    used = used_columns([*fit_signals, *held], given)
+    return read, parts, [
+        *notes, *used, *how, *check_given(everything, given), *check_excitation(fit)
+    ]  # fmt: skip
 
 
 def _name(

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.split import read_divided
+from zendsp.diagnosis.data.used import columns_beside_a_call
 from zendsp.diagnosis.decide.contract import Rejected, Verdict, contradicted
 from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.near import only_in_the_fit
@@ -299,6 +300,7 @@ def _recordings(
     sources: Sequence[Any], heldout: Sequence[Any], model: Model, simulator: Simulator
 ) -> tuple[list[Bench], list[Bench], list[str]]:
     signals, held, notes = read_divided(sources, heldout, model)
+    notes += columns_beside_a_call([*signals, *held], model)
     train = [bench(s, model, simulator) for s in signals]
     test = [bench(s, model, simulator) for s in held]
     for benches in (train, test):

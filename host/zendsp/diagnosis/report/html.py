@@ -8,11 +8,12 @@ from html import escape
 from pathlib import Path
 
 from zendsp.diagnosis.data.sampling import whole_second
-from zendsp.diagnosis.decide.contract import Verdict, dark, spans
+from zendsp.diagnosis.decide.contract import Verdict, dark
 from zendsp.diagnosis.decide.findings import Finding, number
 from zendsp.diagnosis.decide.result import Diagnosis, Errors
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import SMALLER, before, hidden, unasked, unnamed
+from zendsp.diagnosis.report.times import times_in_words
 
 SAID = 4  # findings on the first sheet
 SHARE = (
@@ -215,7 +216,7 @@ def _where(d: Diagnosis, *, pictured: bool = False) -> str:
     first = min((float(m.time[0]) for parts in d.missing.values() for m in parts), default=0.0)
     begin = whole_second(first)
     of = d.times_of if len(set(d.times_of)) > 1 else [""] * len(d.times)
-    when = escape(spans([(a - begin, b - begin) for a, b in d.times], of, len(d.times)))
+    when = escape(times_in_words(d, of, len(d.times), begin))
     when += f", after {begin:.0f} s" if when and begin else ""
     table = f"<table>{''.join(rows)}</table>" if d.regions else f"<p>{NO_INTERVAL}{doubt}</p>"
     return f"{table}<p>In time: {when or 'spread evenly'}.</p>"

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zendsp.diagnosis.decide.contract import Verdict, spans
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.headline import SMALLEST_SHARE, percent
+from zendsp.diagnosis.report.times import times_in_words
 from zendsp.physics.effects import get_effect, library, unit_of
 from zendsp_protocol.texts import counted
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis
 
 REFINEMENTS = 6  # that a summary names
+WHEN = 4  # times of the largest mismatch that a summary names
 MISSED = 3  # undetectable effects that a summary names
 SMALLER = 1.05  # times: a smaller improvement of the error is not mentioned
 
@@ -47,7 +49,7 @@ def summary(d: Diagnosis) -> str:
             f" {100 * r.time_share:.0f} % of the time"
         )
     if d.times and d.unexplained:
-        lines.append(f"mismatch: largest at {spans(d.times[:4], d.times_of)}")
+        lines.append(f"mismatch: largest at {times_in_words(d, d.times_of, WHEN)}")
     if d.refinements:
         more = len(d.refinements) - REFINEMENTS
         lines.append(
