@@ -271,8 +271,8 @@ def test_what_the_report_names_otherwise_is_not_said_to_be_missed() -> None:
     creep, other = replace(at, effect="presliding", at={}), replace(at, joint=2)
     coulomb = Finding("coulomb", 1, {}, 0.99, 0.9, ("stribeck",), (), "", mechanism="dry_friction")
     assert missed([at, creep, other], [coulomb], []) == (creep, other)
-    unknown = replace(coulomb, effect="unknown", indistinguishable=())
-    assert missed([at, creep, other], [unknown], []) == (other,)
+    unknown, drift = replace(coulomb, effect="unknown"), replace(at, effect="friction_drift")
+    assert missed([at, creep, drift, other], [unknown], []) == (drift, other)
     near: Any = SimpleNamespace(joint=1, near=Near("stribeck", 0.1, 0.01, "", ("presliding",)))
     assert missed([at, creep, other], [], [near]) == (other,)
 

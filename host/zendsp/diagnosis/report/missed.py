@@ -17,8 +17,9 @@ def missed(
 ) -> tuple[Detectable, ...]:
     """The effects that may be missed even if they are large, without those that are not: a law that
     is found, or a refinement; one that cannot be told from a found one, or is the most like an
-    unexplained torque; and those of a mechanism whose curve is drawn without a law. Of what a joint
-    may have more than one, as waves of several orders, another is still missed.
+    unexplained torque; and those of a mechanism whose curve is drawn without a law, but for what
+    changes with time. Of what a joint may have more than one, as waves of several orders, another
+    is still missed.
 
     Parameters
     ----------
@@ -36,7 +37,8 @@ def missed(
         found = [f for f in told if (f.effect, f.joint) == place]
         if x.effect in library() and get_effect(x.effect).repeatable:
             return any(_same(x.at, f) for f in found)
-        return bool(found) or place in near | others or (x.mechanism, x.joint) in drawn
+        curve = (x.mechanism, x.joint) in drawn and get_effect(x.effect).over != "time"
+        return bool(found) or place in near | others or curve
 
     return tuple(x for x in seen if not (x.is_shown or is_told(x)))
 
