@@ -24,13 +24,17 @@ def main() -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, HELD)
     _open_streams()
     end = _End()
+    from zendsp.tui.early import begin
+
+    keys = begin(sys.argv[1:])  # first: F9 may be typed at any time
     from zendsp.cli import main as command
     from zendsp.here.ending import end_softly, interruption
 
     end_softly()
     sys.unraisablehook = _unraisable
     try:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, HELD)  # what came meanwhile comes here
+        if not keys:  # else once STOP is in safe hands
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, HELD)  # what came meanwhile comes here
         command()
     except KeyboardInterrupt:
         words, status = interruption()

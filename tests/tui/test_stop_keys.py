@@ -18,7 +18,7 @@ from waiting import PATIENCE_S, until
 from zendsp.tui import stop_process, stopper
 
 F9 = b"\x1b[20~"
-SERVE = "from zendsp.tui.stop_process import serve; serve({}, {}, False)"
+SERVE = "{}, {}, False"
 
 
 def _stops(*parts: bytes, web: bool = False) -> bool:
@@ -108,7 +108,7 @@ def test_a_click_that_waits_for_the_process_to_begin_stops() -> None:
     verdicts, verdicts_out = os.pipe()
     os.write(control, b"@ 67 0 13 3\n")  # where the field is was told before it could be seen
     process = subprocess.Popen(
-        [sys.executable, "-c", SERVE.format(control_in, verdicts_out)],
+        [sys.executable, "-c", stopper.CALL.format(b"", SERVE.format(control_in, verdicts_out))],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         pass_fds=(control_in, verdicts_out),
@@ -118,7 +118,6 @@ def test_a_click_that_waits_for_the_process_to_begin_stops() -> None:
         assert process.stdin is not None
         process.stdin.write(b"\x1b[<0;70;2M\x1b[<0;70;2m")
         process.stdin.close()
-        process.wait(PATIENCE_S)
         assert b"STOP asked" in os.read(verdicts, 4096)
     finally:
         process.kill()

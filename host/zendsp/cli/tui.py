@@ -16,8 +16,9 @@ import click
 from zendsp.cli.common import parse_names
 from zendsp.cli.completing import machines
 from zendsp.errors import LinkError
-from zendsp.here.ending import SOFT, interrupt, let_go_of_terminal
+from zendsp.here.ending import ENDING, SOFT, interrupt, let_go_of_terminal
 from zendsp.here.registered import CONNECT
+from zendsp.tui.early import has_begun
 from zendsp_isr.parts import is_model, machine_source
 
 
@@ -116,7 +117,7 @@ def command(
     if web:
         _serve(target, machine, clock, path, folder, screen, theme, channels, frames, port)
         return
-    if "TEXTUAL_DRIVER" not in os.environ:
+    if "TEXTUAL_DRIVER" not in os.environ and not has_begun():
         _need_terminal()
     from zendsp.tui.memory import keep_one_heap
 
@@ -128,6 +129,7 @@ def command(
         signal.signal(number, interrupt)
     stopper = Stopper(target)  # first: it is ready for STOP when the screens are
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # what was held until now comes here
         from zendsp.reference import MACHINES
         from zendsp.tui.app import ZendspApp
         from zendsp.tui.link_port import find_targets, open_port, start_machine

@@ -21,7 +21,6 @@ import json
 import os
 import queue
 import select
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from textual.events import MouseDown
 
     from zendsp.link import Target
+    from zendsp.tui.early import Early
 
 PICTURE, _PICTURE = "f20", b"\x1b[57383u"  # the key, and how a terminal writes it
 _ESC, _ESCAPE = b"\x1b", b"\x1b[27u"  # the key Escape, and how it is written beyond doubt
@@ -145,7 +145,7 @@ class Stops:
 
     def __init__(self, links: Links, tell: Callable[..., None]) -> None:
         self._links, self._tell = links, tell
-        self._pressed = queue.SimpleQueue[tuple[float, StopPage | None, int]]()
+        self._pressed = queue.Queue[tuple[float, StopPage | None, int]]()
         for _ in range(STOPPERS):
             background("stop", self._run)
 
@@ -161,6 +161,10 @@ class Stops:
             page = None
         self._pressed.put((time.monotonic(), page, asked))
 
+    def finish(self) -> None:
+        """Wait until each of them has ended, in one way or the other."""
+        self._pressed.join()
+
     def _run(self) -> None:
         while True:
             pressed, page, asked = self._pressed.get()
@@ -172,6 +176,7 @@ class Stops:
                 self._tell(StopState.STOPPED, f"stopped, at sample {sample}")
             else:
                 self._insist(pressed + INSIST_S)
+            self._pressed.task_done()
 
     def _insist(self, until: float) -> None:
         links, name, told = self._links, self._links.name, False
@@ -316,10 +321,12 @@ class Keys:
         File descriptors.
     web : bool
         What is read are packets of the page.
+    early : Early
+        Takes what is typed until `run`.
     """
 
-    def __init__(self, control: int, verdicts: int, web: bool) -> None:
-        self._control, self._verdicts = control, verdicts
+    def __init__(self, control: int, verdicts: int, web: bool, early: Early) -> None:
+        self._control, self._verdicts, self._early = control, verdicts, early
         self._lock = threading.Lock()
         self._links = Links()
         self._stops = Stops(self._links, self._tell)
@@ -331,19 +338,25 @@ class Keys:
         self._picture = _packet(_PICTURE) if web else _PICTURE
 
     def run(self) -> None:
-        """Hand on bytes until the application or the terminal is gone."""
+        """Hand on bytes until the application or the terminal is gone, and each STOP has ended."""
         os.set_blocking(1, False)
+        self._hand_on(self._early.taken())
+        if self._links.name:
+            self._stops.finish()
+
+    def _hand_on(self, early: bytes) -> None:
         here = True
         while here:
             writable = [1] if self._waiting else []
-            readable, _, _ = select.select([0, self._control], writable, [], ESCAPE_S)
+            patience = 0.0 if early else ESCAPE_S
+            readable, _, _ = select.select([0, self._control], writable, [], patience)
             pictures = 0
             if self._control in readable:  # first: a click means the field that was told before it
                 data = os.read(self._control, 4096)
                 here = bool(data)  # what was typed before its end is looked at all the same
                 pictures = self._hear(data)
-            if 0 in readable:
-                data = _typed()
+            if early or 0 in readable:
+                data, early = early or _typed(), b""
                 if not data:
                     return
                 self._look(data)
@@ -391,8 +404,9 @@ def _typed() -> bytes:
         return b""
 
 
-def serve(control: int, verdicts: int, web: bool) -> None:
-    """Run until the application or the terminal is gone."""
+def serve(control: int, verdicts: int, web: bool, early: Early) -> None:
+    """Run until the application or the terminal is gone; `early` has begun to take what is typed.
+    Signals that end a command are blocked in this process.
+    """
     be_prompt()  # first: threads inherit it
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    Keys(control, verdicts, web).run()
+    Keys(control, verdicts, web, early).run()

@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import threading
@@ -19,6 +20,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from zendsp.here.ending import ENDING
+from zendsp.tui.early import taken
 from zendsp.tui.stop_process import HERE, Field, StopState, is_stop
 
 if TYPE_CHECKING:
@@ -28,6 +31,12 @@ ASK_S = 0.2  # between questions whether it is there
 LOOK_S = 0.1  # between looks at one that has not answered yet
 ASLEEP_S = 0.5  # without an answer, after which it is ended unless it wants a processor
 SILENT_S = 3.0  # the same where it wants one: the computer is busy
+ENDING_S = 3.0  # that it has at the end for a STOP that was typed before
+# it takes what is typed before it loads what it needs
+CALL = (
+    "import os; from zendsp.tui.early import Early; early = Early(0, {!r}); "
+    "from zendsp.tui.stop_process import serve; serve({}, early); os._exit(0)"
+)
 OnVerdict = Callable[[StopState, str, str], None]
 KEY_LOST = "a STOP pressed just now may be lost: press F9 again"
 
@@ -59,14 +68,19 @@ class Stopper:
         self._verdicts, verdicts_out = os.pipe()
         web = "web_driver" in os.environ.get("TEXTUAL_DRIVER", "")
         arguments = f"{control_in}, {verdicts_out}, {web}"
-        call = f"from zendsp.tui.stop_process import serve; serve({arguments})"
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", call],
-            stdin=self.terminal,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            pass_fds=(control_in, verdicts_out),
-        )
+        call = CALL.format(taken(), arguments)
+        # it ends when this process does, or the terminal is gone, and not before it has stopped
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", call],
+                stdin=self.terminal,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(control_in, verdicts_out),
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         os.close(control_in)
         os.close(verdicts_out)
         assert self._process.stdout is not None
@@ -115,6 +129,9 @@ class Stopper:
         self.alive = False
         with contextlib.suppress(OSError):
             os.close(self._control)
+        if "T" not in _states(self._process.pid):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(ENDING_S)
         self._process.kill()  # one that is stopped would not hear anything less
         self._process.wait()
         os.dup2(self.terminal, 0)
