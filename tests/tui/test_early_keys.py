@@ -92,6 +92,8 @@ def test_f9_stops_before_there_is_a_screen_though_the_terminal_is_closed(
 ) -> None:
     """What waits in a terminal is gone with it."""
     os.write(opened.ours, F9)
+    children = Path(f"/proc/{opened.pid}/task/{opened.pid}/children")
+    until(children.read_text, "STOP has a process of its own")
     until(opened.all_taken, "it is taken at once")
     os.close(opened.ours)
     until(lambda: target.status().trip is not None, "it is stopped")

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import pytest
 from textual.events import MouseDown
-from waiting import PATIENCE_S, until
+from waiting import until
 
 from zendsp.tui import stop_process, stopper
 
@@ -106,7 +106,7 @@ def test_a_click_stops_where_the_red_field_is(report: bytes, stops: bool, web: b
 def test_a_click_that_waits_for_the_process_to_begin_stops() -> None:
     control_in, control = os.pipe()
     verdicts, verdicts_out = os.pipe()
-    os.write(control, b"@ 67 0 13 3\n")  # where the field is was told before it could be seen
+    os.write(control, b"imi\n@ 67 0 13 3\n")  # the field was told before it could be seen
     process = subprocess.Popen(
         [sys.executable, "-c", stopper.CALL.format(b"", SERVE.format(control_in, verdicts_out))],
         stdin=subprocess.PIPE,

@@ -62,7 +62,8 @@ def begin(words: Sequence[str]) -> bool:
     """Begin to take keys, if these are the words of a command that reads them from a terminal;
     return whether they are. The mode of the terminal is given back at the end of this process.
     """
-    if list(words[:1]) != ["tui"] or not NOT_HERE.isdisjoint(words) or not os.isatty(1):
+    others = not NOT_HERE.isdisjoint(word.partition("=")[0] for word in words)
+    if list(words[:1]) != ["tui"] or others or not os.isatty(1):
         return False
     try:
         before = termios.tcgetattr(0)
