@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import subprocess
 import sys
@@ -11,9 +10,6 @@ from pathlib import Path
 
 import pytest
 from steps import Until, opened
-from textual.events import Resize
-from textual.geometry import Size
-from textual.screen import Screen
 from waiting import PATIENCE_S
 
 from zendsp.tui import workspace
@@ -77,35 +73,3 @@ async def test_execute_opens_before_it_is_known_whether_references_are_there(
         finally:
             slow.set()
         await until(pilot, lambda: "o chooses" in scope.empty_text, "it is said")
-
-
-async def test_a_resize_while_a_screen_is_built_is_followed_at_once(
-    app: ZendspApp, until: Until, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The picture before it stood there in its old size for 2 s."""
-    begun, go_on = asyncio.Event(), asyncio.Event()
-    compose = ExecuteScreen._compose
-
-    async def slowly(screen: ExecuteScreen) -> None:
-        begun.set()
-        await go_on.wait()
-        await compose(screen)
-
-    monkeypatch.setattr(ExecuteScreen, "_compose", slowly)
-    async with app.run_test(size=(130, 40)) as pilot:
-        console, larger = app.screen, Size(150, 50)
-        app.call_later(app.action_show, "execute")
-        await begun.wait()
-        await app._post_message(Resize(larger, larger))  # as the driver does
-        try:
-            await asyncio.wait_for(_sized(console, larger), PATIENCE_S)
-            assert app.screen is console, "and it is shown until the new one is built"
-        finally:
-            go_on.set()
-        await until(pilot, lambda: isinstance(app.screen, ExecuteScreen), "the new one follows")
-        await asyncio.wait_for(_sized(app.screen, larger), PATIENCE_S)
-
-
-async def _sized(screen: Screen[object], size: Size) -> None:
-    while screen.size != size or screen.children[0].size.width != size.width:
-        await asyncio.sleep(0.01)

@@ -16,7 +16,6 @@ from textual import events
 from textual.actions import SkipAction
 from textual.app import SystemCommand
 from textual.driver import Driver
-from textual.message import Message as TextualMessage
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Input
 
@@ -224,14 +223,8 @@ class ZendspApp(TypeAhead):
         return job is not None and bool(job.busy)
 
     async def action_show(self, name: str) -> None:
-        """Show a screen; not while a dialog waits for an answer. The one before is alive until the
-        new one is built.
-        """
-        if self.current_mode == name or isinstance(self.screen, ModalScreen):
-            return
-        await asyncio.to_thread(import_module, f"{__package__}.screens.{name}")
-        await self._init_mode(name)
-        if not isinstance(self.screen, ModalScreen):
+        """Show a screen; not while a dialog waits for an answer."""
+        if not isinstance(self.screen, ModalScreen) and self.current_mode != name:
             await self.switch_mode(name)
 
     def action_help(self) -> None:
@@ -308,16 +301,6 @@ class ZendspApp(TypeAhead):
             self._toasted = None
             self.clear_notifications()
         await super().on_event(event)
-
-    def post_message(self, message: TextualMessage) -> bool:
-        """Queue a message. The size of the terminal is told the screen in front at once: in this
-        queue it may wait until another screen is built.
-        """
-        if isinstance(message, events.Resize) and self._size not in (None, message.size):
-            self._size = message.size
-            if self.screen_stack:
-                self.screen.post_message(message)
-        return super().post_message(message)
 
     def get_driver_class(self) -> type[Driver]:
         """The driver that reads the keys which the process of STOP hands on."""
