@@ -130,7 +130,8 @@ def test_a_law_leaves_what_a_refinement_of_its_mechanism_takes_up(
     first = replace(piece(0.2, 9.0, 90.0, "gravity"), terms=(Term("gravity", 1, numbers),))
     patch = piece(size, z, log_e, "stiffness")
     monkeypatch.setattr(patchwork, "both_needed", lambda *_: False)
-    nothing: Any = None
+    monkeypatch.setattr(laws, "drawn_by_its_variable", lambda *_: 1.0)
+    nothing: Any = SimpleNamespace(data=None, model=None)
     after = Size(0.001, 0.0, 0.3)
     judge = laws._Judge(PARTS, nothing, nothing, [first], 1, after, 0.0, ())
     assert judge._leaves_more(first, [first, patch], [first], None) is much

@@ -173,6 +173,7 @@ def test_a_law_stands_alone_without_refinements_but_those_that_turn_a_known_fric
     own = [Term("coulomb", 1, {}), Term("viscous", 1, {})]
     monkeypatch.setattr(believed, "kept_laws", lambda *_: own if known else own[1:])
     monkeypatch.setattr(believed, "both_needed", lambda *_: False)
+    monkeypatch.setattr(believed, "_hiding", lambda _final, _claims, more: {id(c) for c in more})
     monkeypatch.setattr(believed, "taken_away", lambda *of: gone.extend(of[3]))
     monkeypatch.setattr(believed, "joint_handles", lambda *_: ())
     monkeypatch.setattr(believed, "fit_scored", lambda *_, **__: "alone")

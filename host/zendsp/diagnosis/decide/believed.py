@@ -9,10 +9,15 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision, needed
 from zendsp.diagnosis.decide.confidence import confidence, likely_enough, stated
 from zendsp.diagnosis.decide.law_torque import has, kept_laws, kind_of, law_leaves, rubs
-from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
+from zendsp.diagnosis.decide.nameless import (
+    beside_laws,
+    by_its_variables,
+    told_apart,
+    without_law,
+)
 from zendsp.diagnosis.decide.near import ANOTHER, LEAVES_MORE, TWIN, doubt
 from zendsp.diagnosis.decide.patchwork import (
     both_needed,
@@ -24,6 +29,7 @@ from zendsp.diagnosis.decide.rivals import together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     BY_CHANCE,
+    CLAIMED,
     LAW_ERROR,
     OF_STATE,
     PLAIN,
@@ -38,6 +44,7 @@ from zendsp.diagnosis.measure.curve import DRY, FRICTION
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
+from zendsp.diagnosis.measure.own_variable import drawn_by_its_variable
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.physics.calibration.fit import joint_handles
@@ -58,7 +65,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         if not any(c is t for t in twin) and _is_likely(c, decision, parts)
     ]
     likely, alone, ahead, fell = _standing(likely, decision, parts, given, jobs)
-    first = _may_lack_a_law(ahead, decision, parts)
+    first = _may_lack_a_law(ahead, decision, parts, given)
     if first is not None and _new_and_common(first, given):
         drawn = _other_friction(first, likely, decision)
         beside = _standing([first, *likely, *drawn], decision, parts, given, jobs)
@@ -98,7 +105,8 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     keep, parts_of_it = without_its_parts(keep, decision.after.value)
     # beside a law of dry or fluid friction, a missing part of the other kind keeps its own name
     rubbing = {c.mechanism for c in keep if c.effect != "unknown"} & set(FRICTION)
-    keep = [c if rubbing else by_its_variables(c, decision, parts, given) for c in keep]
+    named = {c.effect for c in keep if c.effect != "unknown"}
+    keep = [c if rubbing else by_its_variables(c, decision, parts, given, named) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
 
 
@@ -117,19 +125,23 @@ def _other_friction(first: Claim, likely: Sequence[Claim], decision: Decision) -
     return [replace(c, effect="unknown") for c in unlikely if c.mechanism in FRICTION]
 
 
-def _may_lack_a_law(lawful: Collection[int], decision: Decision, parts: Parts) -> Claim | None:
-    """The first claim, where it is not ``lawful``, by ``id``, and its mechanism may act without a
-    law: its variables may tell it from others', and it explains more than it leaves.
+def _may_lack_a_law(
+    lawful: Collection[int], decision: Decision, parts: Parts, given: Model
+) -> Claim | None:
+    """The first claim that is not ``lawful``, by ``id``, where its mechanism may act without a law:
+    none of it is named, its variables may tell it from others', and it explains more than it
+    leaves.
     """
-    claim = next(iter(decision.claims), None)
+    named = [c for c in decision.claims if id(c) in lawful]
+    claim = next((c for c in decision.claims if id(c) not in lawful), None)
     if (
         claim is None
         or claim.effect == "unknown"
-        or id(claim) in lawful
         or claim.mechanism not in STRUCTURED
+        or any(claim.mechanism == c.mechanism for c in named)
         or claim.is_constant  # which is a function of any variable
         or claim.size <= max(decision.after.value, OF_STATE)
-        or _turns_otherwise(claim, decision, parts)
+        or _turns_otherwise(claim, decision, parts, given, {c.effect for c in named})
     ):
         return None
     return claim
@@ -234,8 +246,8 @@ def _without_others(claims: Sequence[Claim], decision: Decision, given: Model, j
     rest = [c for c in decision.claims if not any(c.term is k.term for k in claims)]
     if not claims or not rest:
         return decision.alone
-    others = [*decision.refinements, *rest]
-    return by_themselves(given, decision.final, decision.joint, claims, others, jobs)
+    more, joint = decision.refinements, decision.joint
+    return by_themselves(given, decision.final, joint, claims, more, jobs, rest)
 
 
 def by_themselves(
@@ -245,9 +257,12 @@ def by_themselves(
     claims: Sequence[Claim],
     more: Sequence[Claim],
     jobs: int,
+    fell: Sequence[Claim] = (),
 ) -> Scored:
-    """The claims alone, fitted again, with the terms restored that the refinements had replaced.
-    Refinements could be bent to what no claimed law describes.
+    """The claims alone, fitted again, with the terms restored that the refinements had replaced, as
+    ``more`` of them could be bent to what no claimed law describes; and without claims that
+    ``fell``. A small mechanism stays that is surely there, and can hide no more of any claim than
+    its law may leave.
     """
     rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
     known = any(mechanism_of(t.effect) == DRY for t in kept_laws(given, final.model, joint, DRY))
@@ -260,13 +275,33 @@ def by_themselves(
         )
         return own or any(both_needed(final, k, c) for k in claims)
 
-    terms = [c.term for c in more if not stays(c)]
+    hides = _hiding(final, claims, more)
+    gone = [c for c in more if id(c) in hides] + list(fell)
+    terms = [c.term for c in gone if not stays(c)]
     terms = [t for t in final.model.terms if any(t is x for x in terms)]
     if not claims or not terms:
         return final
     model = taken_away(given, final.model, joint, terms)
     handles = joint_handles(final.data, model, joint)
     return fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=1)
+
+
+def _hiding(final: Scored, claims: Sequence[Claim], more: Sequence[Claim]) -> set[int]:
+    """The refinements, by ``id``, that untouched recordings do not surely show, or that may hide
+    more of a claim than its law may leave: as much as a function of its own variable draws. Of a
+    claim without a law those of its variables.
+    """
+
+    def may_hide(claim: Claim, c: Claim) -> bool:
+        if claim.effect == "unknown":
+            return c.mechanism in kind_of(claim.mechanism)
+        part = drawn_by_its_variable(final.data, final.model, claim.term, c.term)
+        return c.size * math.sqrt(part) > law_leaves(claim.size, [claim.term])
+
+    def is_sure(c: Claim) -> bool:
+        return c.log_e > needed(final.model.joints) and c.evidence.z > CLAIMED
+
+    return {id(c) for c in more if not is_sure(c) or any(may_hide(k, c) for k in claims)}
 
 
 def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bool:
@@ -286,11 +321,13 @@ def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bo
 
 def _hid(claim: Claim, alone: Scored, decision: Decision, parts: Parts) -> bool:
     """Whether terms that are not stated hid what a law leaves over its own variables; not where one
-    of them stands upon it, as a doubted Stribeck curve does upon Coulomb friction.
+    of them stands upon it, as a doubted Stribeck curve does upon Coulomb friction. A time has no
+    variables.
     """
     others = (*decision.refinements, *decision.claims)
     upon = any(stands_on(get_effect(c.term.effect), claim.effect) for c in others)
-    if claim.mechanism not in STRUCTURED or upon or alone is decision.final:
+    timing = get_effect(claim.effect).family == "timing"
+    if claim.mechanism not in STRUCTURED or timing or upon or alone is decision.final:
         return False
     bare = structure(
         parts.each, alone.model, decision.joint, [claim.mechanism], claim.mechanism != DRY
@@ -326,13 +363,15 @@ def _ahead(claim: Claim, alone: Scored, parts: Parts) -> float:
     return against_neighbours(together(*parts.each), alone, term, joint, LAW_ERROR, turning)
 
 
-def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
-    """Whether a known dry friction only acts differently at reversals: nothing is missing while the
-    joint moves.
+def _turns_otherwise(
+    claim: Claim, decision: Decision, parts: Parts, given: Model, laws: Collection[str]
+) -> bool:
+    """Whether a known dry friction only acts differently at reversals: nothing is missing beside
+    the named ``laws`` while the joint moves.
     """
     if claim.mechanism != DRY or not rubs(decision.base.model, decision.joint):
         return False
-    model = decision.base.model
+    model = beside_laws(claim, decision, given, laws)
     moving = structure(parts.each, model, decision.joint, [DRY], turning=False)
     return moving.size < OF_STATE or moving.z < SURE
 

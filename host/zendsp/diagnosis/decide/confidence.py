@@ -62,7 +62,8 @@ def likely_enough(name: str, ahead: float, decision: Decision) -> bool:
 def _needed(name: str, decision: Decision) -> float:
     """Probability above which an effect's law is named."""
     effect = get_effect(name)
-    bends = effect.coupled or (mechanism_of(name) in STRUCTURED and effect.over != "time")
+    of_state = mechanism_of(name) in STRUCTURED and effect.family != "timing"
+    bends = effect.coupled or (of_state and effect.over != "time")
     return STATED_BESIDE if bends and _left(decision) > SIMULATORS_DIFFER else STATED_ALONE
 
 
@@ -102,8 +103,11 @@ def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
         return (1.0, 1.0, 0.0, 0.0, 0.0)
     left = max(_left(decision), FINEST_KNOWN)
     size = max(claim.size, FINEST_KNOWN)
-    larger = sum(c.size**2 for c in decision.claims if c.size > claim.size)
-    lacking = math.sqrt(max(decision.before.value**2 - larger, FINEST_KNOWN**2))
+    larger = [c.size for c in decision.claims if c.size > claim.size]
+    lacking = decision.before.value
+    if larger:  # which other numbers may take up in part, where one of them is taken away
+        smaller = (c.size for c in decision.claims if c.size < claim.size)
+        lacking = math.hypot(size, *smaller, decision.bare.value)
     effect = get_effect(claim.term.effect)
     free = sum(
         q.free and effect.parameter(key).fitted for key, q in claim.term.parameters.items()

@@ -39,6 +39,7 @@ from zendsp.diagnosis.decide.thresholds import (
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.own_variable import drawn_by_its_variable
 from zendsp.diagnosis.measure.significance import deviation
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.wandering import wanders
@@ -219,11 +220,19 @@ class _Judge:
             and bends(self.final, _plain(p)[0], law, any(p is o for o in own))
             and sure(self.parts.test, p)
         ]
-        bent = math.hypot(*(p.size for p in beside))
+        bent = math.hypot(*(self._may_bend(law, p) for p in beside))
         z = max((p.evidence.z for p in beside), default=0.0)
         return surely_more(Structure(bent, 1.0, z), least) or (
             left is not None and self.after.high > least and surely_more(left, least)
         )
+
+    def _may_bend(self, law: Claim, other: Piece) -> float:
+        """The torque of another law of the mechanism that a function of this law's own variable may
+        draw: a friction that varies a little with the place is not what a Stribeck curve leaves.
+        """
+        final = self.final
+        part = drawn_by_its_variable(final.data, final.model, law.term, other.terms[0])
+        return other.size * math.sqrt(part)
 
     def _of_a_turn(self, first: Piece) -> float:
         """The standard deviation of a law's period (rad) or order; infinite where the joint slides.

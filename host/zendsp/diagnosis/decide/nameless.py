@@ -77,12 +77,14 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
 
 
-def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Model) -> Claim:
-    """A friction without a law as dry or fluid, by the variables that predict it beside what
-    calibration absorbed: fluid where no step at standstill is needed, which reversals show. A
-    steep rise looks like a step, and a soft step like none, so neither is sure. Unchanged where its
-    own law, though not named, leaves nothing, or little more than any function of the other
-    friction's variables does.
+def by_its_variables(
+    claim: Claim, decision: Decision, parts: Parts, given: Model, laws: Collection[str] = ()
+) -> Claim:
+    """A friction without a law as dry or fluid, by the variables that predict it beside the named
+    ``laws`` and what calibration absorbed: fluid where no step at standstill is needed, which
+    reversals show. A steep rise looks like a step, and a soft step like none, so neither is sure.
+    Unchanged where its own law, though not named, leaves nothing, or little more than any function
+    of the other friction's variables does.
     """
     if claim.effect != "unknown" or claim.mechanism not in FRICTION:
         return claim
@@ -90,7 +92,7 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
         return claim  # one of its laws leaves nothing, though no name: its numbers may be at an end
     if _has_memory(claim, decision):
         return claim
-    model, joint = decision.base.model, decision.joint
+    model, joint = beside_laws(claim, decision, given, laws), decision.joint
     of = {m: structure(parts.each, model, joint, [m, TAKEN]) for m in FRICTION}
     steps = of[FLUID].size < (1.0 - LAW_ERROR) * of[DRY].size and not _rises(given, decision)
     name = DRY if steps else FLUID
@@ -124,6 +126,17 @@ def _rises(given: Model, decision: Decision) -> bool:
     return gone and any(new > GROWN * old for old, new in moved(FLUID))
 
 
+def beside_laws(
+    claim: Claim, decision: Decision, given: Model, laws: Collection[str]
+) -> Model:
+    """The model that lacks a mechanism without a law and nothing else: with the named ``laws``;
+    where there are none, the calibrated one.
+    """
+    if not laws:
+        return decision.base.model
+    return beside_unknown(given, decision.final.model, decision.joint, claim.mechanism, laws)
+
+
 def told_apart(
     claim: Claim, decision: Decision, parts: Parts, given: Model, laws: Collection[str]
 ) -> bool:
@@ -142,9 +155,7 @@ def told_apart(
         return True
     if decision.after.value < SIMULATORS_DIFFER:
         return True
-    model, joint = decision.base.model, decision.joint
-    if laws:
-        model = beside_unknown(given, decision.final.model, joint, claim.mechanism, laws)
+    model, joint = beside_laws(claim, decision, given, laws), decision.joint
     of = {m: structure(parts.each, model, joint, [m]) for m in STRUCTURED}
     own = of[claim.mechanism]
     if own.share < _least(claim.mechanism):
