@@ -82,6 +82,7 @@ def test_a_friction_along_the_travel_is_not_what_a_curve_over_the_speed_leaves(
         (0.008, 80.0, 12.0, 0.06, "stribeck", True),
         (0.008, 80.0, 12.0, 1.0, "stribeck", False),  # more than a twentieth of the curve
         (0.004, 80.0, 12.0, 1.0, "stribeck", True),
+        (0.1, 80.0, 12.0, 1.0, "stribeck", True),  # the claim is the smaller one
         (0.008, 80.0, 2.0, 0.06, "stribeck", False),
         (0.008, 1.0, 12.0, 0.06, "stribeck", False),
         (0.008, 80.0, 12.0, 0.06, "unknown", False),  # of whose curve it may be a part

@@ -261,8 +261,8 @@ def by_themselves(
 ) -> Scored:
     """The claims alone, fitted again, with the terms restored that the refinements had replaced, as
     ``more`` of them could be bent to what no claimed law describes; and without claims that
-    ``fell``. A small mechanism stays that is surely there, and can hide no more of any claim than
-    its law may leave.
+    ``fell``. A small mechanism stays that is surely there, and can hide no more of any larger claim
+    than its law may leave.
     """
     rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
     known = any(mechanism_of(t.effect) == DRY for t in kept_laws(given, final.model, joint, DRY))
@@ -288,13 +288,15 @@ def by_themselves(
 
 def _hiding(final: Scored, claims: Sequence[Claim], more: Sequence[Claim]) -> set[int]:
     """The refinements, by ``id``, that untouched recordings do not surely show, or that may hide
-    more of a claim than its law may leave: as much as a function of its own variable draws. Of a
-    claim without a law those of its variables.
+    more of a larger claim than its law may leave: as much as a function of its own variable draws.
+    Of a claim without a law those of its variables.
     """
 
     def may_hide(claim: Claim, c: Claim) -> bool:
         if claim.effect == "unknown":
             return c.mechanism in kind_of(claim.mechanism)
+        if claim.size < c.size:  # a smaller one is judged beside it
+            return False
         part = drawn_by_its_variable(final.data, final.model, claim.term, c.term)
         return c.size * math.sqrt(part) > law_leaves(claim.size, [claim.term])
 

@@ -103,11 +103,11 @@ def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
         return (1.0, 1.0, 0.0, 0.0, 0.0)
     left = max(_left(decision), FINEST_KNOWN)
     size = max(claim.size, FINEST_KNOWN)
-    larger = [c.size for c in decision.claims if c.size > claim.size]
-    lacking = decision.before.value
-    if larger:  # which other numbers may take up in part, where one of them is taken away
+    larger = sum(c.size**2 for c in decision.claims if c.size > claim.size)
+    lacking = math.sqrt(max(decision.before.value**2 - larger, FINEST_KNOWN**2))
+    if larger:  # of one that is taken away other numbers may take up a part
         smaller = (c.size for c in decision.claims if c.size < claim.size)
-        lacking = math.hypot(size, *smaller, decision.bare.value)
+        lacking = min(lacking, math.hypot(size, *smaller, decision.bare.value))
     effect = get_effect(claim.term.effect)
     free = sum(
         q.free and effect.parameter(key).fitted for key, q in claim.term.parameters.items()
