@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import naming, nothing_named, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Near
 from zendsp.diagnosis.decide.contract import Reason, Rejected
-from zendsp.diagnosis.decide.near import likeness, nearest_law
+from zendsp.diagnosis.decide.near import bent, likeness, nearest_law
 from zendsp.diagnosis.decide.notes import left_over
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -118,10 +118,11 @@ def test_a_mechanism_without_a_law_names_the_one_that_it_is_most_like() -> None:
     claim = Claim("unknown", "dry_friction", term, 0.3, evidence, 9, {}, (), (), ())
     plain: Any = SimpleNamespace(near=None, after=Size(0.01, 0.01, 0.01))
     assert naming._nearest(claim, plain) == "none of the known laws describes it"
-    plain.near = Near("position_friction", 0.3, 0.05, "another law of its kind predicts as well")
+    plain.near = Near("position_friction", 0.3, 0.05, bent(["ripple"]))
     assert naming._nearest(claim, plain) == (
         "it is most like position_friction, with which 5 % of the torque stays unexplained, and is"
-        " not called that: another law of its kind predicts as well"
+        " not called that: a curve that differs from it a little, which is no law with a name,"
+        " predicts as well; so may ripple"
     )
     drawn = replace(claim, term=Term("ripple", 1, {}), why="the travel shows no whole period of it")
     said = naming._nearest(drawn, plain)

@@ -18,7 +18,7 @@ from zendsp.diagnosis.decide.nameless import (
     told_apart,
     without_law,
 )
-from zendsp.diagnosis.decide.near import ANOTHER, LEAVES_MORE, TWIN, doubt
+from zendsp.diagnosis.decide.near import LEAVES_MORE, TWIN, bent, doubt
 from zendsp.diagnosis.decide.patchwork import (
     both_needed,
     draws_a_curve,
@@ -164,7 +164,7 @@ def _standing(
             if _hid(claim, alone, decision, parts):
                 fell[id(claim)] = LEAVES_MORE
             elif by is None:
-                fell[id(claim)] = ANOTHER
+                fell[id(claim)] = bent(claim.same)
             else:
                 ahead[id(claim)] = by
         if len(ahead) == sum(c.effect != "unknown" for c in stand):

@@ -12,7 +12,7 @@ from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.measure.discrepancy import Size
 
 LEAVES_MORE = "it leaves more of what its variables predict than a law may"
-ANOTHER = "another law of its kind predicts as well"
+BENT_CURVE = "a curve that differs from it a little, which is no law with a name, predicts as well"
 TWIN = "its wave and one like it of another mechanism imitate a third"
 NOT_APART = "its variables do not tell it from other mechanisms"
 NO_BETTER = "with it untouched recordings are predicted no better"
@@ -42,6 +42,18 @@ def why_curve(ways: Mapping[str, bool]) -> str:
     """The reason that a law only imitates the missing torque: the first of the ``ways`` that holds.
     """
     return next((why for why, holds in ways.items() if holds), "")
+
+
+def bent(likely: Sequence[str]) -> str:
+    """The reason that a law is doubted of which a neighbour predicts as well: neighbours have no
+    names; the other laws that are ``likely`` have.
+
+    Examples
+    --------
+    >>> bent(["hysteresis", "presliding"]).removeprefix(BENT_CURVE)
+    '; so may hysteresis or presliding'
+    """
+    return BENT_CURVE + (f"; so may {' or '.join(likely)}" if likely else "")
 
 
 def doubt(sure: float) -> str:
