@@ -15,7 +15,7 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.decide import believed, laws, patchwork
 from zendsp.diagnosis.decide.claims import Claim
-from zendsp.diagnosis.decide.near import ANOTHER
+from zendsp.diagnosis.decide.near import bent
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
 from zendsp.diagnosis.measure import neighbours
 from zendsp.diagnosis.measure.discrepancy import BANDS, Size
@@ -170,7 +170,7 @@ def test_laws_are_asked_again_beside_those_that_stand(monkeypatch: pytest.Monkey
     given: Any = None
     stand, alone, ahead, fell = believed._standing([limit, drag], decision, PARTS, given, 1)
     assert (stand, alone, ahead) == ([], [], {})
-    assert fell == {id(limit): ANOTHER, id(drag): laws.LEAVES_MORE}
+    assert fell == {id(limit): bent(limit.same), id(drag): laws.LEAVES_MORE}
 
 
 @pytest.mark.parametrize(("apart", "named"), [(True, ["unknown", "lag"]), (False, [])])
