@@ -31,7 +31,7 @@ from zendsp.diagnosis.search.candidates import (
 )
 from zendsp.diagnosis.search.hypothesis import UNSETTLED, Rival, price, with_numbers
 from zendsp.diagnosis.search.screen import Candidate, Screen
-from zendsp.diagnosis.search.short_fits import SETTLED, WAIT, ShortFits
+from zendsp.diagnosis.search.short_fits import WAIT, ShortFits, settled
 from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import facts, own_terms
@@ -177,9 +177,8 @@ class Rounds:
         ranked = [replace(r, rank=current.deviance - r.value) for r in rivals]
         if len(ranked) < 2 or ranked[0].scored.data.bandwidth[self.joint - 1] <= UNSETTLED:
             return ranked
-        slow = current.data.at_bandwidth(
-            self.joint, max(8.0, ranked[0].scored.data.bandwidth[self.joint - 1] / 4)
-        )
+        band = max(8.0, ranked[0].scored.data.bandwidth[self.joint - 1] / 4)
+        slow = current.data.at_bandwidth(self.joint, settled(current, self.joint, band))
         joints = (self.joint,)
         base = fit(
             first_look(slow, current.model, self.joint),
@@ -334,9 +333,10 @@ class Rounds:
         least = WAIT + self._price_of(group)
         if self._promised(current, group) > PROMISED_ON_ALL * least:
             return False
-        if current.data.bandwidth[self.joint - 1] <= SETTLED:
+        band = settled(current, self.joint)
+        if current.data.bandwidth[self.joint - 1] <= band:
             return True
-        slow = self.short.under(current, current.data.at_bandwidth(self.joint, SETTLED))
+        slow = self.short.under(current, current.data.at_bandwidth(self.joint, band))
         behind = max(0.0, slow.deviance - current.deviance)
         return self._promised(slow, group) < PROMISED_ON_ALL * (least + behind)
 
