@@ -10,9 +10,10 @@ import pytest
 import reality
 from acceptance import accepted
 from mistakes import Columns
-from reality import FAST
+from reality import FAST, RATE
 
 from zendsp.errors import RecordingError
+from zendsp.physics.kernel.signals import is_set_value
 
 COUNT = reality.RESOLUTION
 
@@ -92,4 +93,25 @@ def test_a_command_that_acts_beyond_the_limit_is_in_another_unit_or_the_limit_is
         accepted(file, model)
         return
     with pytest.raises(RecordingError, match=words):
+        accepted(file, model)
+
+
+@pytest.mark.parametrize(("column", "refused"), [("u", False), ("r", True)])
+def test_a_slow_pendulum_that_weighs_its_position_in_numbers_has_no_set_value(
+    column: str, refused: bool, tmp_path: Path
+) -> None:
+    """Of 1 N m, and with a given inertia that is a third of the true one, which hardly shows. Its
+    reference in place of the command is refused as before.
+    """
+    machine = reality.Machine(gravity=1.0, inertia=0.02, coulomb=0.05, kp=20.0, kd=0.8)
+    slow = reality.multisine(12.0, RATE, 1, low=0.1, high=0.3)
+    columns = reality.simulate(machine, slow, RATE)
+    assert is_set_value(columns["u"], columns["q"])
+    file = reality.save(tmp_path / "run.csv", {**columns, "u": columns[column]})
+    dry = reality.effect("coulomb", level=0.05)
+    model = reality.model_file(tmp_path / "m.toml", RATE, dry, inertia=0.0065, gravity=1.05)
+    if not refused:
+        accepted(file, model)
+        return
+    with pytest.raises(RecordingError, match="names a set value of the position as the command"):
         accepted(file, model)

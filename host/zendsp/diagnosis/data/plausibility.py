@@ -14,12 +14,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import lsq_linear
 
 from zendsp.diagnosis.data.carried import is_carried, is_tool
 from zendsp.diagnosis.data.order import check_order
-from zendsp.diagnosis.data.regression import Regression, Slow, look, regress, rigid_body
+from zendsp.diagnosis.data.regression import TURNS, Regression, Slow, look, regress, rigid_body
 from zendsp.errors import RecordingError
-from zendsp.physics.calibration.joint import JointRecord, mechanism_value
+from zendsp.physics.calibration.joint import (
+    JointRecord,
+    along,
+    effective_inertia,
+    mechanism_value,
+)
+from zendsp.physics.calibration.observed import trace
 from zendsp.physics.kernel.signals import is_set_value
 from zendsp.physics.model import TREES, Model, per_joint
 
@@ -152,7 +159,7 @@ def check_driven(
         if signs and not right:
             _sign(name, found)
         if is_set_value(here.u[i], here.y[i]):
-            _set_value(name, found)
+            _set_value(name, found, [part[i] for part in (records, *beside)], model)
         much = found.slope - ERRORS * found.error > MUCH and found.r2 > HALF
         if (little or much) and not right:
             kind = model.joint_kind(i + 1)
@@ -264,15 +271,52 @@ def _sign(name: str, found: Regression) -> None:
         )
 
 
-def _set_value(name: str, found: Regression) -> None:
-    """Refuse a command that is the position in its numbers and does not move the model."""
+def _set_value(
+    name: str, found: Regression, parts: Sequence[JointRecord], model: Model
+) -> None:
+    """Refuse a command that is the position in its numbers and does not move the model. ``parts``:
+    all of the recording, since a set value is one throughout.
+    """
     spread = ERRORS * found.error
-    if found.slope + spread < RIGHT[0] or found.slope - spread > RIGHT[1]:
+    far = found.slope + spread < RIGHT[0] or found.slope - spread > RIGHT[1]
+    if far and not _is_borne(parts, model):
         raise RecordingError(
             f"{name}: the command is all but equal to the position, and the model's inertia comes"
             f" out as {found.slope:.2g} of what it should be: [columns] names a set value of the"
             " position as the command; name the torque or the current, and this one as reference"
         )
+
+
+def _is_borne(parts: Sequence[JointRecord], model: Model) -> bool:
+    """Whether the model explains a joint's command at least as well as a set value would that the
+    position follows late: a light pendulum that moves slowly weighs its position in numbers.
+    """
+    by_model = by_position = 0.0
+    for record in parts:
+        torque = per_joint(model.actuator.gain, record.joint, 1.0) * record.command
+        q, qd, _ = record.motion.states
+        followed = np.stack([q, qd, np.ones_like(q)], axis=1)
+        theta, *_ = np.linalg.lstsq(followed, torque)
+        by_position += float(np.sum((torque - followed @ theta) ** 2))
+        by_model += _unborne(record, torque, model)
+    return by_model <= by_position
+
+
+def _unborne(record: JointRecord, torque: Array, model: Model) -> float:
+    """The squares that are left of a torque by the model's body, weight and terms, each right
+    within ``RIGHT``, and by friction and a constant.
+    """
+    q, qd, qdd = record.motion.states
+    turns = TURNS * float(np.sqrt(np.mean(qd**2))) + 1e-300
+    _, bias = record.inertia_and_bias(model)
+    body = effective_inertia(record, model) * qdd + bias
+    own = [body, trace(record, model, model.at(record.joint), turns)]
+    if weight := along(record, model).gravity:
+        own.append(weight * np.sin(q))
+    columns = [*own, qd, np.tanh(qd / turns), np.ones_like(q)]
+    low = [RIGHT[0]] * len(own) + [0.0, 0.0, -np.inf]
+    high = [RIGHT[1]] * len(own) + [np.inf] * 3
+    return 2.0 * float(lsq_linear(np.stack(columns, axis=1), torque, (low, high)).cost)
 
 
 def _own_number(model: Model, joint: int, slope: float) -> str:
