@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from small_arms import (
 import zendsp
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
-from zendsp.diagnosis.decide.moved import moved
+from zendsp.diagnosis.decide.moved import moved, one_factor
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.search.body_explain import price_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
@@ -35,7 +35,7 @@ from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import load_model, parse_model
-from zendsp.physics.model import Actuator, Model
+from zendsp.physics.model import Actuator, Model, Quantity
 from zendsp.physics.term_numbers import kernel_model
 
 
@@ -232,6 +232,62 @@ def test_a_gain_that_calibration_moved_is_told(free: bool) -> None:
     after = replace(given, actuator=Actuator(gain=(0.934,), gain_free=free))
     notes = ["joint 1: calibration moves actuator gain 1 to 0.934 (-7 %)"] if free else []
     assert moved(given, after) == notes
+
+
+@pytest.mark.parametrize(
+    ("ratios", "alike"),
+    [
+        ((1.083, 1.116, 1.077, 1.133), True),  # of a drive that gives 9 % less than it is told
+        ((1.083, 1.3, 1.077, 1.133), False),  # its weight is off by itself
+        ((1.05, 1.05, 1.05, 1.05), False),  # no farther than such numbers may be off together
+        ((1.1, 1.1, 1.1, 0.0), False),
+    ],
+)
+def test_one_gain_is_told_from_numbers_that_are_each_off_by_their_tolerance(
+    ratios: tuple[float, ...], alike: bool
+) -> None:
+    """No two of the given numbers are off by the same: those of a gain differed by 6 %."""
+    given = _pendulum()
+    notes = moved(given, _times(given, ratios))
+    assert ("all alike, as a torque gain of" in notes[0]) is alike
+    factor = one_factor(given, _times(given, ratios), 1)
+    assert (factor is not None) is alike
+    if factor is not None:
+        assert (round(factor.value, 2), round(factor.std, 3)) == (1.1, 0.025)
+
+
+def test_numbers_that_a_headline_calls_off_are_told_however_little_each_moved() -> None:
+    given = _pendulum()
+    after = _times(given, (0.986, 1.0, 1.0031, 1.02))
+    assert moved(given, after) == []
+    (note,) = moved(given, after, off=True)
+    assert "inertia 0.5 to 0.493 (-1 %), coulomb level 1.5 to 1.505 (+0.3 %), viscous" in note
+    unsure = _times(given, (0.986, 1.0, 1.0031, 1.02), std=0.1)  # each, but not all of them
+    assert moved(given, unsure, off=True) == [note]
+
+
+def _pendulum() -> Model:
+    rotary = {"kind": "rotary", "parameters": {"inertia": 0.5, "gravity": 10.0}}
+    laws = (
+        {"kind": "coulomb", "joint": 1, "level": 1.5},
+        {"kind": "viscous", "joint": 1, "coefficient": 0.4},
+    )
+    bench = {"name": "b", "sample_time": 0.001, "mechanism": rotary, "effect": list(laws)}
+    return kernel_model(parse_model({**bench, "columns": {"position": "q", "command": "u"}}))
+
+
+def _times(given: Model, ratios: Sequence[float], std: float = 0.0) -> Model:
+    """The four numbers of a pendulum, each times a ratio, with a relative standard deviation."""
+
+    def after(q: Quantity, ratio: float) -> Quantity:
+        return replace(q, value=ratio * q.value, std=std * q.value)
+
+    own, laws = dict(given.mechanism), list(given.terms)
+    for key, ratio in zip(("inertia", "gravity"), ratios[:2], strict=True):
+        own[key] = (after(own[key][0], ratio),)
+    for i, (key, ratio) in enumerate(zip(("level", "coefficient"), ratios[2:], strict=True)):
+        laws[i] = replace(laws[i], parameters={key: after(laws[i].parameters[key], ratio)})
+    return replace(given, mechanism=own, terms=tuple(laws))
 
 
 @pytest.mark.parametrize("std, price", [(0.0, True), (0.036, False)])

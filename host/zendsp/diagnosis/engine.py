@@ -45,7 +45,13 @@ from zendsp.diagnosis.decide.outcome import (
 from zendsp.diagnosis.decide.propose import experiment_of, propose
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.remember import remembered
-from zendsp.diagnosis.decide.result import Detectable, Diagnosis, Next, Workings
+from zendsp.diagnosis.decide.result import (
+    Detectable,
+    Diagnosis,
+    Next,
+    Workings,
+    numbers_off,
+)
 from zendsp.diagnosis.decide.thresholds import FINEST
 from zendsp.diagnosis.decide.zeros import check_zeros
 from zendsp.diagnosis.explain.machine import Found, Stopped
@@ -241,7 +247,8 @@ def _with_zeros_given(
     seen = (*looked.seen, *(d for m in found.measured for d in m.detectable), *alone)
     own, *others = errors_of(parts, (given, whole.calibrated, improved))
     notes += [*said(alone), *notes_of(decisions, given), *repeated(decisions, parts), *clocks]
-    notes += [*of_load(found.loads), *moved(given, whole.calibrated if of_held else better)]
+    off, of = numbers_off(verdict, own.test), whole.calibrated if of_held else better
+    notes += [*of_load(found.loads), *moved(given, of, off=off)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]
     notes += _of_sensors(found, findings, improved, verdict)

@@ -16,14 +16,7 @@ import numpy as np
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.findings import Estimate, Finding
-from zendsp.diagnosis.decide.moved import (
-    FAR,
-    given_off,
-    known_point,
-    one_factor,
-    times,
-    weight_gone,
-)
+from zendsp.diagnosis.decide.moved import FAR, known_point, one_factor, times, weight_gone
 from zendsp.diagnosis.decide.pieces import finest
 from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import difference
@@ -109,8 +102,7 @@ def shifted(
     if size is None:
         return []
     if factor is not None:
-        known = factor * given_off(given, whole.improved, joint)
-        return [(z, size, _gain(joint, factor, math.hypot(std / abs(amount / ratio), known)))]
+        return [(z, size, _gain(joint, factor))]
     unit = "kg m²" if given.kind == "rotary" else "kg"
     wrong = "the given number is wrong"
     what = f"the joint bears a payload, or {wrong}" if amount > 0 else wrong
@@ -187,15 +179,15 @@ def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
     return f" A payload of {where} from the axis would do both." if where else ""
 
 
-def _gain(joint: int, factor: float, std: float) -> Finding:
+def _gain(joint: int, factor: Estimate) -> Finding:
     """The finding of one torque gain error, where calibration scaled all numbers of a joint alike.
     """
     text = (
-        f"Calibration multiplies all numbers of joint {joint} by {factor:.3g}: its torque is"
-        f" {1.0 / factor:.3g} times what the given model says, as by a wrong gain, gear ratio or"
-        " unit. This recording cannot tell it from inertia."
+        f"Calibration multiplies all numbers of joint {joint} by {factor.value:.3g}: its torque is"
+        f" {1.0 / factor.value:.3g} times what the given model says, as by a wrong gain, gear ratio"
+        " or unit. This recording cannot tell it from inertia."
     )
-    ratio = Estimate(1.0 / factor - 1.0, std / factor**2, "1")
+    ratio = Estimate(1.0 / factor.value - 1.0, factor.std / factor.value**2, "1")
     return _finding("torque_gain", joint, {"ratio": ratio}, GAINED, ("inertia",), text)
 
 

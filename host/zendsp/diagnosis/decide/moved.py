@@ -5,14 +5,15 @@ findings.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.findings import Estimate, number
-from zendsp.diagnosis.decide.thresholds import PLAIN, SURE, TOLERANCE
+from zendsp.diagnosis.decide.thresholds import PLAIN, SURE, TIED, TOLERANCE
 from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, calibrated
 from zendsp.physics.effects import mechanism_of
@@ -25,15 +26,29 @@ G = 9.81  # m/s²
 MOVED_NUMBERS = "calibration moves"  # how such a note begins, after its joint
 
 
-def moved(given: Model, calibrated: Model) -> list[str]:
+def moved(given: Model, calibrated: Model, *, off: bool = False) -> list[str]:
     """The given numbers that calibration moved beyond their tolerance, in words, joint by joint.
     They are no findings, but may be what a user looks for.
+
+    Parameters
+    ----------
+    off : bool
+        The report says that the given numbers were off. Where none is beyond its tolerance, those
+        that surely moved are told; where none did so alone, all of them.
     """
-    out = []
     given, calibrated = file_model(given), file_model(calibrated)
+    tests: list[Callable[[_Number], bool]] = [lambda n: n.is_far]
+    if off:
+        tests += [lambda n: n.is_sure, lambda n: n.new.value != n.given.value]
+    return next(filter(None, (_told(given, calibrated, test) for test in tests)), [])
+
+
+def _told(given: Model, calibrated: Model, is_told: Callable[[_Number], bool]) -> list[str]:
+    """The given numbers that pass a test, in words, joint by joint."""
+    out = []
     for joint in range(1, given.joints + 1):
         numbers = (*_numbers(given, calibrated, joint), *_gain(given, calibrated, joint))
-        far = [n for n in numbers if n.is_far]
+        far = [n for n in numbers if is_told(n)]
         if far:
             text = f"{MOVED_NUMBERS} {', '.join(map(str, far))}"
             # a single number of a simulator is of no joint
@@ -42,7 +57,7 @@ def moved(given: Model, calibrated: Model) -> list[str]:
                 text = f"joint {joint}: {text}"
             factor = one_factor(given, calibrated, joint)
             if factor is not None:
-                text += f": all alike, as a torque gain of {1.0 / factor:.3g} would"
+                text += f": all alike, as a torque gain of {1.0 / factor.value:.3g} would"
             if given.kind in TREES and any(n.effect == "inertia" for n in far):
                 text += (
                     "; where only its own acceleration shows it, a link or a payload of another"
@@ -144,30 +159,36 @@ class _Number:
         change = abs(new.value - given)
         return bool(given) and change > math.hypot(TOLERANCE * given, FAR * new.std)
 
+    @property
+    def is_sure(self) -> bool:
+        """Whether calibration surely moved it, be it within its tolerance."""
+        return abs(self.new.value - self.given.value) > FAR * self.new.std
+
     def __str__(self) -> str:
         given, new = self.given.value, self.new.value
         name = f"{self.effect.replace('_', ' ')} {self.key}".lstrip()
-        return f"{name} {given:.4g} to {new:.4g} ({times(new / given - 1.0)})"
+        by = f" ({times(new / given - 1.0)})" if given else ""
+        return f"{name} {given:.4g} to {new:.4g}{by}"
 
 
-def one_factor(given: Model, calibrated: Model, joint: int) -> float | None:
+def one_factor(given: Model, calibrated: Model, joint: int) -> Estimate | None:
     """The one factor by which calibration multiplied all free numbers of a joint, three or more,
-    far beyond their tolerance; None where there is no such factor.
+    beyond their tolerance; None where there is no such factor. Each given number is off by its own
+    tolerance, and so is its ratio: their weighted mean is surely not 1, and they do not contradict
+    it (χ²).
     """
     numbers = [n for n in _numbers(given, calibrated, joint) if n.given.value]
-    ratios = [n.new.value / n.given.value for n in numbers]
-    if len(ratios) < 3 or not all(n.is_far for n in numbers) or np.ptp(ratios) >= TOLERANCE:
+    if len(numbers) < 3 or not all(n.is_far for n in numbers):
         return None
-    return float(np.mean(ratios))
-
-
-def given_off(given: Model, calibrated: Model, joint: int) -> float:
-    """The relative standard deviation of the mean of a joint's given numbers, of which each is off
-    by its own tolerance.
-    """
-    each = [n.given for n in _numbers(given, calibrated, joint) if n.given.value]
-    known = [max(TOLERANCE, q.std / abs(q.value)) for q in each]
-    return math.hypot(*known) / len(known)
+    ratios = np.array([n.new.value / n.given.value for n in numbers])
+    known = [max(TOLERANCE, abs(n.given.std / n.given.value)) for n in numbers]
+    fitted = [n.new.std / n.given.value for n in numbers]
+    variances = np.square(np.mean(ratios) * np.array(known)) + np.square(fitted)
+    factor, std = float(np.average(ratios, weights=1.0 / variances)), sum(1.0 / variances) ** -0.5
+    apart = float(np.sum((ratios - factor) ** 2 / variances))
+    if abs(factor - 1.0) < FAR * std or chi2.sf(apart, len(ratios) - 1) < TIED:
+        return None
+    return Estimate(factor, float(std), "1")
 
 
 def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
@@ -215,17 +236,17 @@ def known_point(inertia: Estimate, weight: Estimate) -> str:
 
 
 def times(change: float) -> str:
-    """A relative change in words; beyond a factor of ten as the factor, and as a unit's where it is
-    one of a thousand.
+    """A relative change in words; below 1 % with one digit, and beyond a factor of ten as the
+    factor, and as a unit's where it is one of a thousand.
 
     Examples
     --------
-    >>> times(0.38), times(24.0), times(-0.999)
-    ('+38 %', 'a factor of 25', 'a factor of 0.001: a unit?')
+    >>> times(0.38), times(-0.0031), times(24.0), times(-0.999)
+    ('+38 %', '-0.3 %', 'a factor of 25', 'a factor of 0.001: a unit?')
     """
-    factor = 1.0 + change
+    factor, percent = 1.0 + change, 100 * change
     if not factor > 0.0 or 1.0 / AS_FACTOR <= factor <= AS_FACTOR:
-        return f"{100 * change:+.0f} %"
+        return f"{percent:+.0f} %" if abs(percent) >= 1.0 else f"{percent:+.1g} %"
     thousands = math.log(factor, 1e3)
     unit = ": a unit?" if abs(thousands - round(thousands)) < TOLERANCE else ""
     return f"a factor of {factor:.2g}{unit}"

@@ -56,6 +56,13 @@ class FitTable:
         return {"given": self.given, "calibrated": self.calibrated, "improved": self.improved}
 
 
+def numbers_off(verdict: Verdict, table: FitTable) -> bool:
+    """Whether the headline of a complete model says that its given numbers were off, and notes say
+    which.
+    """
+    return verdict == Verdict.COMPLETE and table.given > OFF * table.calibrated
+
+
 @dataclass(frozen=True)
 class Left:
     """The unexplained torque at a joint, as a part of the RMS torque, with its 95 % interval; 1
@@ -271,8 +278,7 @@ class Diagnosis:
         errs = max(times_off(e.test.improved, e.noise_floor) for e in self.errors)
         if self.verdict == Verdict.COMPLETE and errs and not (unseen or left or self.doubted):
             text = complete_below(errs)
-        off = table.given > OFF * table.calibrated
-        if self.verdict == Verdict.COMPLETE and not unseen and off:
+        if numbers_off(self.verdict, table) and not unseen:
             times = two_digits(table.given / table.calibrated)
             text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
         text = " ".join((*self.zeros, text))

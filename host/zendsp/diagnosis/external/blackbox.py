@@ -29,7 +29,12 @@ from zendsp.diagnosis.decide.contract import Rejected, Verdict, contradicted
 from zendsp.diagnosis.decide.moved import moved
 from zendsp.diagnosis.decide.near import only_in_the_fit
 from zendsp.diagnosis.decide.propose import experiment_of
-from zendsp.diagnosis.decide.result import Diagnosis, FitTable, SimulatorErrors
+from zendsp.diagnosis.decide.result import (
+    Diagnosis,
+    FitTable,
+    SimulatorErrors,
+    numbers_off,
+)
 from zendsp.diagnosis.decide.thresholds import LEFT_BY_A_LAW
 from zendsp.diagnosis.external.hunt import (
     SHORT_WAYS,
@@ -193,6 +198,8 @@ def _diagnose(
     verdict = Verdict.MISSING if findings else silent
     places, spans, at = located(before)
     calibrated, improved = _noted(base.fit), _noted(current.fit)
+    untouched = FitTable(_rms(test, model), _rms(test, base.model), rest)
+    off = numbers_off(verdict, untouched)
     return Diagnosis(
         verdict=verdict,
         findings=findings,
@@ -203,12 +210,12 @@ def _diagnose(
         estimation=FitTable(
             _rms(train, model), _rms(train, base.model), _rms(train, current.model)
         ),
-        heldout=FitTable(_rms(test, model), _rms(test, base.model), rest),
+        heldout=untouched,
         noise_floor=floor,
         rejected=rejected,
         next_recording=experiment_of(findings),
         seconds=time.perf_counter() - begin,
-        notes=(*notes, _untried(train, test), *moved(model, improved)),
+        notes=(*notes, _untried(train, test), *moved(model, improved, off=off)),
         given=file_model(model),
         calibrated=file_model(calibrated),
         improved=file_model(improved),
