@@ -197,6 +197,8 @@ def test_a_recording_whose_rows_are_shifted_is_told_from_the_others(
     assert apart_in_time(besides, model) == []
     monkeypatch.setattr(clocks, "_explains", lambda *_: True)
     assert apart_in_time(besides, model) != []
+    # a slope tells of no shift that a search would not look for: "3e+02 ms earlier" was told
+    assert apart_in_time(Parts(same, read("b.csv", 20), other), model) == []
 
 
 def test_the_largest_missing_torque_is_no_less_where_the_stated_sensor_noise_is_larger(

@@ -16,6 +16,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.thresholds import PREDICTED
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.search.short_fits import SETTLED
+from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import ran_away, run
 from zendsp.physics.effects.column_shift import least_shift
@@ -99,7 +100,9 @@ def _explains(parts: Parts, model: Model, joint: int, name: str, at: float) -> b
 
 
 def _shift(record: JointRecord, model: Model) -> Shift | None:
-    """The time shift of the command to first order, s, and its variance; None where unknown."""
+    """The time shift of the command to first order, s, and its variance; None where unknown, as
+    beyond the limits of such a shift: a slope tells nothing that far away.
+    """
     step = 0.1 * record.sample_time
     late = Term("column_shift", record.joint, {"time": Quantity(step)})
     left, moved = (
@@ -116,6 +119,9 @@ def _shift(record: JointRecord, model: Model) -> Shift | None:
         return None
     at = -float(slope @ left) / whole
     starts = np.arange(0, len(left), max(1, round(CLOCK_BLOCK / record.sample_time)))
+    low, high = parameter_bounds("column_shift", "time", record)
+    if not low <= at <= high:
+        return None
     pulls = np.add.reduceat(slope * (left + at * slope), starts)
     variance = float(pulls @ pulls) / whole**2
     return (at, variance) if 0.0 < variance < math.inf else None
