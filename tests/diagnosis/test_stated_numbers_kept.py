@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import reality
 from made_claims import piece
-from small_models import model_of
+from reality import RATE
+from small_models import data_of, model_of
 
 from zendsp.diagnosis.decide import pieces, rivals
+from zendsp.diagnosis.decide.findings import Estimate
+from zendsp.diagnosis.decide.stated_numbers import at_ends
 from zendsp.diagnosis.search.hypothesis import Rival
+from zendsp.physics.calibration.bounds import parameter_bounds
 
 
 @pytest.mark.parametrize(
@@ -85,3 +91,21 @@ def test_a_law_with_no_more_numbers_competes_with_a_stated_number_that_is_wrong(
     scored: Any = SimpleNamespace(deviance=-gain)
     other = Rival(rival, 1, scored, 0.0, (), ())
     assert rivals._beside_a_number(given, final, first, other) is beside
+
+
+def test_an_order_at_the_end_of_its_search_says_that_it_may_be_smaller() -> None:
+    """A ripple twice a turn was a wave of 2.241 ± 0.087: fewer than one and a half of them in the
+    travel are no wave, and the search ends there.
+    """
+    columns = reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 1), RATE)
+    record = data_of(columns, model_of()).records[0][0]
+    least, most = parameter_bounds("ripple", "order", record)
+    assert least > 2.0 and most == math.inf
+
+    def said(order: float) -> str:
+        values = {"order": Estimate(order, 0.09, "1"), "amplitude": Estimate(0.07, 0.01, "N m")}
+        return at_ends("ripple", values, record)
+
+    assert said(1.001 * least).startswith(" Its order stands where its search ends")
+    assert "the true one may be smaller" in said(1.001 * least)
+    assert said(1.2 * least) == ""

@@ -28,7 +28,7 @@ from zendsp.diagnosis.decide.findings import (
 from zendsp.diagnosis.decide.moved import G, undone, weight_gone
 from zendsp.diagnosis.decide.patchwork import draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
-from zendsp.diagnosis.decide.stated_numbers import agreed_on, is_no_law, numbers_of
+from zendsp.diagnosis.decide.stated_numbers import agreed_on, at_ends, is_no_law, numbers_of
 from zendsp.diagnosis.decide.thresholds import PLAIN, PREDICTED, STEEP, TOLERANCE
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
@@ -189,6 +189,7 @@ def _finding(
     text += _falls_to(whole.agreed[joint].model, term, given.torque_unit(joint))
     text += _turned(whole.agreed[joint].model, term, values)
     text += lifted(given, term, values)
+    text += at_ends(term.effect, values, whole.data.records[0][joint - 1])
     numbers = cast(Further, chosen(term))  # as its effect's file names them
     if term.effect == "inertia":
         weight = [
@@ -354,7 +355,9 @@ def _drawn(given: Model, decision: Decision, whole: Assembled, claim: Claim) -> 
     same = [c for c in decision.refinements if c.term.effect == law]
     laws = (replace(claim, effect=law), *same)
     each = [numbers_of(given, decision, whole, c) for c in laws]
-    return f" The improved model describes it by {waves(each)}."
+    record = whole.data.records[0][decision.joint - 1]
+    ends = dict.fromkeys(at_ends(law, values, record) for values in each)
+    return f" The improved model describes it by {waves(each)}.{''.join(ends)}"
 
 
 def at_once(decisions: Sequence[Decision]) -> list[list[Decision]]:

@@ -26,7 +26,9 @@ from zendsp.diagnosis.measure.significance import (
     essence_of,
     essential_deviation,
 )
-from zendsp.physics.calibration.fit import Fit, joint_handles
+from zendsp.physics.calibration.bounds import parameter_bounds
+from zendsp.physics.calibration.fit import NEAR, Fit, joint_handles
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
@@ -123,6 +125,29 @@ def runs_out(effect: str, values: Mapping[str, Estimate]) -> bool:
         if key in values and key in parameters
         for bound in (parameters[key].lower, parameters[key].upper)
     )
+
+
+def at_ends(effect: str, values: Mapping[str, Estimate], record: JointRecord) -> str:
+    """A sentence on the numbers of a law that stand where its search ends in such recordings, at
+    limits that are not those of their meaning; empty where there are none.
+    """
+    said = []
+    for p in get_effect(effect).parameters:
+        if p.limits is None or p.name not in values:
+            continue
+        value = values[p.name].value
+        for end, own, way in zip(
+            parameter_bounds(effect, p.name, record),
+            (p.lower, p.upper),
+            ("smaller", "larger"),
+            strict=True,
+        ):
+            if end not in (0.0, own) and math.isclose(value, end, rel_tol=NEAR):
+                said.append(
+                    f" Its {p.name.replace('_', ' ')} stands where its search ends in these"
+                    f" recordings: the true one may be {way}, and the ± does not count that."
+                )
+    return "".join(said)
 
 
 def is_no_law(effect: str, values: Mapping[str, Estimate], sure: float) -> bool:
