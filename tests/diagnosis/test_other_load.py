@@ -24,10 +24,10 @@ from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.outcome import _lacking, of_other_loads
+from zendsp.diagnosis.explain import one_apart, undisturbed
 from zendsp.diagnosis.explain import other_bodies as module
-from zendsp.diagnosis.explain import undisturbed
 from zendsp.diagnosis.explain.machine import Found
-from zendsp.diagnosis.explain.other_bodies import other_bodies
+from zendsp.diagnosis.explain.other_bodies import Loaded, confirmed, other_bodies
 from zendsp.diagnosis.search.joint_zeros import OtherZero
 from zendsp.physics.model import Model
 
@@ -139,6 +139,7 @@ def test_a_recording_that_its_own_numbers_explain_fully_has_another_load(
     @dataclass(frozen=True)
     class Data:
         records: tuple[Any, ...]
+        ranges: Any = None
 
     lacks = {"fit": fit, "held": held}
 
@@ -148,6 +149,7 @@ def test_a_recording_that_its_own_numbers_explain_fully_has_another_load(
 
     monkeypatch.setattr(pushes, "discrepancy", left)
     monkeypatch.setattr(pushes, "fitted_to", lambda *_: SimpleNamespace(model="own"))
+    monkeypatch.setattr(pushes, "inertia_ranges", lambda *_: {})
     parts: Any = SimpleNamespace(
         **{k: Data(((SimpleNamespace(recording=k),),)) for k in ("fit", "held")}
     )
@@ -231,6 +233,21 @@ def test_a_zero_that_one_recording_alone_seems_to_have_is_no_load(
     assert other_bodies(found, signals, given, 1, lambda _: None) == ()
 
 
+def test_a_load_that_a_missing_law_hid_is_confirmed_beside_that_law(
+    arms: tuple[Model, dict[str, Signals]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 0.3 kg in one recording of three, and a ripple of 2.7 % in all, neither was named."""
+    given, each = arms
+    body: Any = SimpleNamespace()
+    hidden, other = (Loaded(n, body, 0.1, left) for n, left in (("loaded", 0.027), ("a", 0.004)))
+    assert hidden.explains_most and not hidden.is_sure and other.is_sure
+    signals = ([each["a"], each["loaded"]], [each["b"]], [each["b"]])
+    found: Any = SimpleNamespace(whole=SimpleNamespace(improved=given))
+    for left, sure in ((0.002, ["loaded", "a"]), (0.02, [])):
+        monkeypatch.setattr(module, "_left", lambda *_, left=left: left)
+        assert [x.name for x in confirmed((hidden, other), found, signals, 1)] == sure
+
+
 @pytest.mark.parametrize(
     ("held", "left"),
     [
@@ -253,11 +270,11 @@ def test_the_rest_is_diagnosed_without_the_recordings_of_another_load(
             asked.extend((parts.fit, parts.choose, parts.test))
         return found(Verdict.UNEXPLAINED if parts == "all" else Verdict.COMPLETE)
 
-    load: Any = SimpleNamespace(name="loaded", finding=lambda _: "its finding")
+    load: Any = SimpleNamespace(name="loaded", is_sure=True, finding=lambda _: "its finding")
     monkeypatch.setattr(undisturbed, "other_bodies", lambda *_: (load,))
     monkeypatch.setattr(undisturbed, "find_once", once)
-    monkeypatch.setattr(undisturbed, "of_one_sensor", lambda parts: parts)
-    monkeypatch.setattr(undisturbed, "prepare", lambda part, *_: [s.name for s in part])
+    monkeypatch.setattr(one_apart, "of_one_sensor", lambda parts: parts)
+    monkeypatch.setattr(one_apart, "prepare", lambda part, *_: [s.name for s in part])
     a, loaded, other = (SimpleNamespace(name=n, whole="") for n in ("a", "loaded", held))
     signals: Any = ([a, loaded], [other], [other])
     parts: Any = "all"

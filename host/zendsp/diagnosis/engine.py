@@ -443,8 +443,10 @@ def _name(
     findings, guessed = without_guesses(findings, found.measured)
     refinements = (*refinements, *guessed)
     if found.loads:
-        # at one joint it holds all that differs there from the given numbers
-        findings = (*found.loads, *(findings if given.joints > 1 else ()))
+        # at one joint a load of all held-out recordings holds all that differs there from the given
+        # numbers
+        beside = given.joints > 1 or all(f.is_elsewhere for f in found.loads)
+        findings = (*found.loads, *(findings if beside else ()))
     findings += found.fine
     findings += tuple(f for m in found.measured for f in m.stated(found.whole.improved))
     findings = sided(findings, found.parts, found.bodies.model)

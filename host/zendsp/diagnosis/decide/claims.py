@@ -141,6 +141,8 @@ class Decision:
     known: Known = Known()  # discrepancy that the given model states for this machine
     # recordings explained by their own numbers but not by those of the others
     loads: tuple[str, ...] = ()
+    # sentences: which numbers, or which zero, one recording has by itself
+    differs: tuple[str, ...] = ()
     # hypotheses that were tried where nothing is claimed
     lost: tuple[Rejected, ...] = ()
     near: Near | None = None

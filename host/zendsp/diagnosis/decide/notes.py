@@ -103,14 +103,15 @@ def _felt(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _other_loads(decisions: Sequence[Decision]) -> list[str]:
-    """The note of recordings of a machine with another load."""
-    return [
+    """The note of recordings of a machine with another load, or of another zero."""
+    alike = [
         f"joint {d.joint}: numbers of its own explain {_each_of(d.loads)}: another load,"
         " another machine, or a law that these numbers stand for there; diagnose each recording by"
         " itself (zendsp diagnose --each)"
         for d in decisions
-        if d.loads
+        if d.loads and not d.differs
     ]
+    return alike + [f"joint {d.joint}: {what}" for d in decisions for what in d.differs]
 
 
 def _each_of(names: Sequence[str]) -> str:

@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.moved import point_of
 from zendsp.diagnosis.decide.thresholds import A_PART, LAWFUL, SURE, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.bodies import FoundBody
@@ -95,6 +95,37 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
         decision, kind=Verdict.MISSING, final=own, after=after, bare=after, alone=own, loads=()
     )
     return OtherLoad(finding, decided)
+
+
+def of_one(
+    recording: str, own: Scored, others: Scored, sizes: tuple[float, float], given: Model
+) -> Finding | None:
+    """The finding of a load that one recording of a single joint has, and those lack on which
+    ``others`` were fitted; None where inertia or mass does not differ. ``sizes``: what is missing
+    there without its own numbers and with them, as parts of the torque.
+    """
+    joint = own.joints[0]
+    keys = [key for key, items in others.model.mechanism.items() if items[0].value != 0.0]
+    both = [_numbers(keys, scored.fit, given) for scored in (others, own)]
+    if not any(_is_other(*(numbers[key] for numbers in both)) for key in keys if key != "gravity"):
+        return None
+    body, text = _body(given, *both)
+    effect = "payload" if "mass" in body else "inertia"
+    lacks, left = sizes
+    size = math.sqrt(max(lacks**2 - left**2, 0.0))
+    return Finding(
+        effect,
+        joint,
+        body,
+        min(CONFIDENCE, sure_by(size, left)),
+        1.0,
+        (),
+        (),
+        f"{recording} is of a machine with another load than others: {text}.",
+        {"recordings": [recording], "body": f"joint {joint}"},
+        "inertia",
+        {effect: 1.0},
+    )
 
 
 def _is_other(before: Estimate, now: Estimate) -> bool:

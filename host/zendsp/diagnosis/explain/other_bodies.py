@@ -33,6 +33,18 @@ class Loaded:
     lacks: float
     left: float
 
+    @property
+    def is_sure(self) -> bool:
+        """Whether it explains its recording: all joints below ``LAWFUL``, and most of what they
+        lack.
+        """
+        return self.left < LAWFUL and self.explains_most
+
+    @property
+    def explains_most(self) -> bool:
+        """Whether it explains most of what the joints lack."""
+        return self.left**2 < (1.0 - PREDICTED) * self.lacks**2
+
     def finding(self, given: Model) -> Finding:
         """The load as a finding."""
         return of_one_recording(self.body, self.name, self.lacks, self.left, given)
@@ -45,7 +57,8 @@ def other_bodies(
     is found in it alone and contradicts the others.
 
     Asked where the joints lack torque without a law. Each body is found beside the ``given``
-    model's own, and has to explain all joints below ``LAWFUL``, and most of what they lack.
+    model's own, and has to explain most of what the joints lack; beside what is found in the rest
+    it has to explain all (``confirmed``).
     """
     joints, links = range(1, given.joints + 1), found.parts.fit.records[0][0].links
     open_ones = [
@@ -67,12 +80,30 @@ def other_bodies(
         body = _body_of(each[name], given, jobs, tell) if lacks[name] > LAWFUL else None
         if body is None:
             continue
-        left = _left(every[name], given, body, jobs)
-        explained = left < LAWFUL and left**2 < (1.0 - PREDICTED) * lacks[name] ** 2
+        load = Loaded(name, body, lacks[name], _left(every[name], given, body, jobs))
         others = (data for n, data in every.items() if n != name)
-        if explained and any(_contradicts(data, given, body, jobs) for data in others):
-            out.append(Loaded(name, body, lacks[name], left))
+        if load.explains_most and any(_contradicts(data, given, body, jobs) for data in others):
+            out.append(load)
     return tuple(out) if len(out) < len(every) else ()
+
+
+def confirmed(
+    loads: Sequence[Loaded], found: Found, signals: Sequence[Sequence[Signals]], jobs: int
+) -> tuple[Loaded, ...]:
+    """The loads beside what was ``found`` in the rest of the recordings, which a missing law may
+    have hidden; empty where one of them does not explain its recording.
+    """
+    if all(load.is_sure for load in loads):
+        return tuple(loads)
+    each, model = _by_recording(signals), found.whole.improved
+    beside = [
+        replace(
+            load,
+            left=_left(prepare(each[load.name], model, LIMITS.bandwidth), model, load.body, jobs),
+        )
+        for load in loads
+    ]
+    return tuple(beside) if all(load.is_sure for load in beside) else ()
 
 
 def _by_recording(signals: Sequence[Sequence[Signals]]) -> dict[str, list[Signals]]:

@@ -14,10 +14,17 @@ from zendsp.diagnosis.decide.assemble import assemble
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.other_load import other_load
+from zendsp.diagnosis.decide.own_numbers import by_recording, may_be_zeroed_elsewhere
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import LAWFUL
 from zendsp.diagnosis.explain.machine import Found, find_once, kept
-from zendsp.diagnosis.explain.other_bodies import Loaded, other_bodies
+from zendsp.diagnosis.explain.one_apart import (
+    by_one_alone,
+    with_other_zeros,
+    without,
+    without_one,
+)
+from zendsp.diagnosis.explain.other_bodies import Loaded, confirmed, other_bodies
 from zendsp.diagnosis.measure.bursts import everywhere
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
@@ -40,9 +47,12 @@ def find(
     found = find_once(parts, given, jobs, tell)
     with kept(lambda: found):
         loads = other_bodies(found, signals, given, jobs, tell)
-        if loads:
-            return _without_loads(found, loads, signals, given, jobs, tell)
-        return _without_pushes(found, signals, given, jobs, tell)
+        other = _without_loads(found, loads, signals, given, jobs, tell)
+        if other is None and (sure := [load for load in loads if load.is_sure]):
+            other = _without_loads(found, sure, signals, given, jobs, tell)
+        other = other or without_one(found, signals, given, jobs, tell)
+        other = other or _without_pushes(found, signals, given, jobs, tell)
+        return by_one_alone(other, signals, given, jobs, tell)
 
 
 def _without_loads(
@@ -52,32 +62,29 @@ def _without_loads(
     given: Model,
     jobs: int,
     tell: Progress,
-) -> Found:
+) -> Found | None:
     """The findings of the recordings without another load, and these loads. Where too few are left
-    to diagnose, those of all recordings, in which nothing pushes.
+    to diagnose, those of all recordings, in which nothing pushes. None where the loads, beside what
+    is found in the rest, do not explain their recordings.
     """
-    stated = tuple(load.finding(given) for load in loads)
+    if not loads:
+        return None
     names = tuple(load.name for load in loads)
-    fit, choose, test = (
-        [s for s in part if (s.whole or s.name) not in names] for part in of_one_sensor(signals)
-    )
-    if not fit or not (choose or test):
+    tell(Step.ASSEMBLING.says("once more, without the recordings of another load"))
+    rest = without(signals, names, given)
+    if rest is None:
+        if not all(load.is_sure for load in loads):
+            return None
         decisions = [unpushed(d) for d in found.decisions]
         decisions = [
             replace(d, loads=names) if d.kind == Verdict.UNEXPLAINED else d for d in decisions
         ]
+        stated = tuple(load.finding(given) for load in loads)
         return replace(found, decisions=decisions, loads=stated)
-    tell(Step.ASSEMBLING.says("once more, without the recordings of another load"))
-    choose, test = choose or test, test or choose
-    untouched = prepare(test, given, 64.0)
-    if choose is test or signals[1] is signals[2]:
-        choose, chosen = test, untouched
-    else:
-        chosen = prepare(choose, given, 64.0)
-    parts = Parts(prepare(fit, given, 64.0), chosen, untouched)
-    again = find_once(parts, given, jobs, tell)
-    again = _without_pushes(again, (fit, choose, test), given, jobs, tell)
-    return replace(again, loads=stated)
+    again = find_once(rest.parts, given, jobs, tell)
+    again = _without_pushes(again, rest.signals, given, jobs, tell)
+    sure = confirmed(loads, again, signals, jobs)
+    return replace(again, loads=tuple(load.finding(given) for load in sure)) if sure else None
 
 
 def _without_pushes(
@@ -105,7 +112,11 @@ def _without_pushes(
     if fit:
         tell(Step.ASSEMBLING.says("once more, without what was pushed"))
         rest = Parts(prepare(fit, given, 64.0), chosen, untouched)
-        beside = _beside_pushes(found, find_once(rest, given, jobs, tell))
+        again = find_once(rest, given, jobs, tell)
+        zeroed = _zeroed_elsewhere(found, again, jobs)
+        if zeroed is not None:
+            return zeroed
+        beside = _beside_pushes(found, again)
         if not _misled(beside, calibrated, untouched):
             return beside
     found = replace(found, decisions=alone)
@@ -166,6 +177,17 @@ def _beside_pushes(pushed: Found, found: Found) -> Found:
             again = replace(again, kind=kind, bursts=bursts)
         decisions.append(again)
     return replace(found, decisions=decisions, parts=pushed.parts)
+
+
+def _zeroed_elsewhere(pushed: Found, found: Found, jobs: int) -> Found | None:
+    """The findings without the pushes, where these stand in recordings with another zero of the
+    position: the laws found without them, shifted, explain those, and nothing has pushed.
+    """
+    (first, *_), (again, *_) = pushed.decisions, found.decisions
+    if first.bursts is None or not may_be_zeroed_elsewhere(again.final.model):
+        return None
+    every = by_recording(pushed.parts, again.final.model, again.joint)
+    return with_other_zeros(found, {n: every[n] for n in set(first.bursts.recordings)}, jobs)
 
 
 def _explained(pushed: Decision, again: Decision, every: Sequence[Data]) -> bool:
