@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize_scalar
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.findings import Estimate, number
@@ -269,6 +268,7 @@ def _with_zero(
 
 def _nearest(data: Data, model: Model, joint: int, around: tuple[float, float]) -> float:
     """The zero between two with which the model is likeliest."""
+    from scipy.optimize import minimize_scalar  # takes half a second
 
     def lost(zero: float) -> float:
         return min(deviance(data, _moved(model, joint, zero), (joint,)), DIVERGED)
