@@ -12,6 +12,7 @@ import reality
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
+from zendsp.diagnosis.measure.discrepancy import runs_away
 from zendsp.diagnosis.measure.likelihood import (
     Scored,
     calibrate_joint,
@@ -468,3 +469,21 @@ def test_a_law_whose_short_fit_ended_far_from_its_minimum_is_fitted_on() -> None
     search._looked_at = lambda *_, **__: [near, far]  # type: ignore[method-assign]
     search._overlooked = lambda *_: []  # type: ignore[method-assign]
     assert search.round(current)[0].effect == "quadratic_drag"
+
+
+@pytest.mark.parametrize(("excess", "band"), [(0.0, 16.0), (0.03, 32.0), (0.06, 64.0)])
+def test_laws_are_ranked_by_a_slow_observer_that_holds_the_model_to_the_motion(
+    excess: float, band: float
+) -> None:
+    """Beside a friction that falls at 26 /s an observer of 16 rad/s shows the instability: it ranked
+    the right laws behind four others, and the chain ended before it had them.
+    """
+    curve = {"kind": "stribeck", "joint": 1, "breakaway": excess, "velocity": 0.1}
+    model = model_of(VISCOUS, COULOMB, *([curve] if excess else []))
+    columns = reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 3), RATE)
+    data = data_of(columns, model)
+    scored = Scored(fit(data, model, (), joints=(1,), iterations=0), data, 0.0, (1,))
+    away = runs_away(data, model, 1)
+    assert away < band and (away >= band / 2 or not excess)
+    assert short_fits.settled(scored, 1) == band
+    assert short_fits.settled(scored, 1, 8.0) == (band if excess else 8.0)
