@@ -475,8 +475,8 @@ def test_a_law_whose_short_fit_ended_far_from_its_minimum_is_fitted_on() -> None
 def test_laws_are_ranked_by_a_slow_observer_that_holds_the_model_to_the_motion(
     excess: float, band: float
 ) -> None:
-    """Beside a friction that falls at 26 /s an observer of 16 rad/s shows the instability: it ranked
-    the right laws behind four others, and the chain ended before it had them.
+    """Beside a friction that falls at 26 /s an observer of 16 rad/s shows the instability: it
+    ranked the right laws behind four others, and the chain ended before it had them.
     """
     curve = {"kind": "stribeck", "joint": 1, "breakaway": excess, "velocity": 0.1}
     model = model_of(VISCOUS, COULOMB, *([curve] if excess else []))
