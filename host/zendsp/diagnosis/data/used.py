@@ -67,7 +67,7 @@ def _reference(signals: Sequence[Signals]) -> str:
     if len(lacking) == len(signals):
         return "reference was not used: no recording has its column"
     but = f" (not in {', '.join(dict.fromkeys(lacking))})" if lacking else ""
-    return f"reference was used: what the position holds was checked by it{but}"
+    return f"reference was used to check the position{but}"
 
 
 def _read_by_effects(role: str, each: Sequence[Array], model: Model) -> str:
