@@ -247,11 +247,11 @@ def _with_zeros_given(
     seen = (*looked.seen, *(d for m in found.measured for d in m.detectable), *alone)
     own, *others = errors_of(parts, (given, whole.calibrated, improved))
     notes += [*said(alone), *notes_of(decisions, given), *repeated(decisions, parts), *clocks]
-    fitted, off = whole.calibrated if of_held else better, numbers_off(verdict, own.test)
-    notes += [*of_load(found.loads), *moved(given, fitted, off=off)]
+    off = numbers_off(verdict, own.test, left := tuple(left_at(d) for d in decisions))
+    notes += moved(given, whole.calibrated if of_held else better, off=off)
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]
-    notes += _of_sensors(found, findings, improved, verdict)
+    notes += [*of_load(found.loads), *_of_sensors(found, findings, improved, verdict)]
     notes += [n for e in (own, *others) for n in apart(e, verdict)]
     return Diagnosis(
         verdict=verdict,
@@ -259,7 +259,7 @@ def _with_zeros_given(
         regions=places, times=times, times_of=at,
         unit=own.unit, estimation=own.estimation, heldout=own.heldout, test=own.test,
         noise_floor=own.noise_floor, window=own.window,
-        others=tuple(others), discrepancy=tuple(left_at(d) for d in decisions),
+        others=tuple(others), discrepancy=left,
         detectable=tuple(x for x in seen if x.is_shown),
         undetectable=missed(seen, (*findings, *refinements), decisions),
         rejected=rejected,

@@ -56,11 +56,12 @@ class FitTable:
         return {"given": self.given, "calibrated": self.calibrated, "improved": self.improved}
 
 
-def numbers_off(verdict: Verdict, table: FitTable) -> bool:
+def numbers_off(verdict: Verdict, table: FitTable, left: Sequence[Left] = ()) -> bool:
     """Whether the headline of a complete model says that its given numbers were off, and notes say
-    which.
+    which; not where the recordings show nothing of a joint.
     """
-    return verdict == Verdict.COMPLETE and table.given > OFF * table.calibrated
+    shown = verdict == Verdict.COMPLETE and not dark((x.joint, x.interval) for x in left)
+    return shown and table.given > OFF * table.calibrated
 
 
 @dataclass(frozen=True)
@@ -278,7 +279,7 @@ class Diagnosis:
         errs = max(times_off(e.test.improved, e.noise_floor) for e in self.errors)
         if self.verdict == Verdict.COMPLETE and errs and not (unseen or left or self.doubted):
             text = complete_below(errs)
-        if numbers_off(self.verdict, table) and not unseen:
+        if numbers_off(self.verdict, table, self.discrepancy):
             times = two_digits(table.given / table.calibrated)
             text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
         text = " ".join((*self.zeros, text))
