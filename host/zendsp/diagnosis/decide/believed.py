@@ -275,8 +275,8 @@ def by_themselves(
         )
         return own or any(both_needed(final, k, c) for k in claims)
 
-    hides = _hiding(final, claims, [*more, *fell])
-    gone = [c for c in (*more, *fell) if id(c) in hides]
+    hides = _hiding(final, claims, more)
+    gone = [c for c in more if id(c) in hides] + list(fell)
     terms = [c.term for c in gone if not stays(c)]
     terms = [t for t in final.model.terms if any(t is x for x in terms)]
     if not claims or not terms:
