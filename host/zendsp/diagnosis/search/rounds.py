@@ -233,13 +233,17 @@ class Rounds:
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             # an idle hypothesis gains nothing and costs its price: the best has to be likelier
             least = current.deviance + min(map(self._price_of, idle), default=math.inf)
-            # a short fit may end far from its minimum: what it still promises counts
-            hoped = {id(r): r.value - self.short.promised(r) for r in quick}
             finalists = [
                 r
-                for r in sorted(quick, key=lambda r: hoped[id(r)])[:FINALISTS]
-                if current.deviance - hoped[id(r)] >= reach or (r is quick[0] and r.value <= least)
+                for r in quick[:FINALISTS]
+                if current.deviance - r.value >= reach or (r is quick[0] and r.value <= least)
             ]
+            # a short fit may end far from its minimum. Where nothing is found yet the first law
+            # decides what follows
+            if self.given is None or len(current.model.terms) <= len(self.given.terms):
+                ended = [r for r in quick if not any(r is f for f in finalists)]
+                first = min((r.value for r in quick), default=0.0)
+                finalists += [r for r in ended if r.value - self.short.promised(r) < first]
             others = [r for r in quick if not any(r is f for f in finalists)]
             if quick and current.deviance - quick[0].value < WAIT and not only:
                 more = self._promising(current, others)
