@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import lsq_linear
 
 from zendsp.diagnosis.data.carried import is_carried, is_tool
 from zendsp.diagnosis.data.order import check_order
@@ -306,6 +305,8 @@ def _unborne(record: JointRecord, torque: Array, model: Model) -> float:
     """The squares that are left of a torque by the model's body, weight and terms, each right
     within ``RIGHT``, and by friction and a constant.
     """
+    from scipy.optimize import lsq_linear
+
     q, qd, qdd = record.motion.states
     turns = TURNS * float(np.sqrt(np.mean(qd**2))) + 1e-300
     _, bias = record.inertia_and_bias(model)

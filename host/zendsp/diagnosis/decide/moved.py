@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.findings import Estimate, number
@@ -177,6 +176,8 @@ def one_factor(given: Model, calibrated: Model, joint: int) -> Estimate | None:
     tolerance, and so is its ratio: their weighted mean is surely not 1, and they do not contradict
     it (χ²).
     """
+    from scipy.special import chdtrc
+
     numbers = [n for n in _numbers(given, calibrated, joint) if n.given.value]
     if len(numbers) < 3 or not all(n.is_far for n in numbers):
         return None
@@ -186,7 +187,7 @@ def one_factor(given: Model, calibrated: Model, joint: int) -> Estimate | None:
     variances = np.square(np.mean(ratios) * np.array(known)) + np.square(fitted)
     factor, std = float(np.average(ratios, weights=1.0 / variances)), sum(1.0 / variances) ** -0.5
     apart = float(np.sum((ratios - factor) ** 2 / variances))
-    if abs(factor - 1.0) < FAR * std or chi2.sf(apart, len(ratios) - 1) < TIED:
+    if abs(factor - 1.0) < FAR * std or chdtrc(len(ratios) - 1, apart) < TIED:
         return None
     return Estimate(factor, float(std), "1")
 
