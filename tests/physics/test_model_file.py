@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 from zendsp.errors import ModelError
-from zendsp.physics.effects import library
+from zendsp.physics.effects import library, unit_of
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model, position_limits
@@ -322,3 +323,52 @@ def test_the_load_of_a_spring_is_what_the_links_of_a_robots_file_turn(tmp_path: 
             "mechanism": {"kind": "rotary", "parameters": {"inertia": 1.0}},
             "effect": [{"kind": "elasticity", "stiffness": 4e3, "damping": 1.0}],
         })  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("inertia", "viscous", "refused"),
+    [
+        ("kg cm^2", "mN m s/rad", ""),
+        ("kg m^2", "N m s", ""),
+        ("deg", "N m s/rad", "inertia.unit = 'deg': expected kg m^2"),
+        ("kg m", "N m s/rad", "inertia.unit = 'kg m': expected kg m^2"),
+        ("kg m^2", "N m", "coefficient.unit = 'N m': expected N m s/rad"),
+    ],
+)
+def test_a_unit_of_another_kind_than_the_number_is_refused(
+    inertia: str, viscous: str, refused: str
+) -> None:
+    """An inertia in degrees was taken, multiplied by pi/180, and a payload was found."""
+    data = {
+        "sample_time": 0.001,
+        "mechanism": {
+            "kind": "rotary", "parameters": {"inertia": {"value": 0.06, "unit": inertia}},
+        },
+        "effect": [
+            {"kind": "viscous", "joint": 1, "coefficient": {"value": 0.1, "unit": viscous}}
+        ],
+    }
+    if not refused:
+        assert parse_model(data).terms[0].value("coefficient") > 0.0
+        return
+    with pytest.raises(ModelError, match=re.escape(refused)):
+        parse_model(data)
+
+
+@pytest.mark.parametrize("kind", ["rotary", "linear"])
+@pytest.mark.parametrize("command", ["", "A", "N m"])
+def test_every_unit_that_a_report_writes_is_read_again(kind: str, command: str) -> None:
+    mass = {"inertia": 0.1} if kind == "rotary" else {"mass": 0.1}
+    data: dict[str, Any] = {"sample_time": 0.001, "mechanism": {"kind": kind, "parameters": mass}}
+    if command:
+        data["actuator"] = {"unit": command}
+    model = parse_model(data)
+    for effect in library().values():
+        if effect.coupled:
+            continue
+        table: dict[str, Any] = {"kind": effect.name, "joint": 1}
+        for one in effect.parameters:
+            value = min(max(0.5, one.lower), one.upper)
+            unit = unit_of(one.size, kind, command, model.torque_unit(1))
+            table[one.name] = {"value": value, "unit": unit}
+        parse_model({**data, "effect": [table]})

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from zendsp.errors import ModelError
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.files.shipped import find_model
 from zendsp.physics.model import (
     KINDS,
@@ -32,7 +32,7 @@ from zendsp.physics.model import (
 )
 from zendsp.physics.robots.rigid import links_inertia
 from zendsp.physics.robots.robot import joint_kinds, stated
-from zendsp.recording.units import not_known, to_si
+from zendsp.recording.units import AS_WRITTEN, dimension, not_known, to_si
 from zendsp_protocol import written
 from zendsp_protocol.spelling import unknown_keys
 
@@ -59,6 +59,11 @@ NEEDED = {"urdf": "file", "mjcf": "file", "fmu": "file", "python": "entry"}
 NAMED = {".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf", ".fmu": "fmu"}  # by their suffix
 TAKE = ("all", "bodies", "servos")  # of an MJCF
 QUANTITY = ("value", "free", "unit", "std")
+UNIT_OF = {  # of numbers of a mechanism; of others any known one is taken
+    ("rotary", "inertia"): "kg m^2", ("rotary", "gravity"): "N m", ("linear", "mass"): "kg",
+    **dict.fromkeys((("planar2r", key) for key in ("p1", "p2", "p3")), "kg m^2"),
+    ("planar2r", "l1"): "m", ("planar2r", "l2"): "m",
+}  # fmt: skip
 
 
 class _Reader:
@@ -108,7 +113,8 @@ class _Reader:
             raise self.fail(key, "a square matrix", value)
         return rows
 
-    def quantities(self, key: str, value: Any) -> tuple[Quantity, ...]:
+    def quantities(self, key: str, value: Any, wanted: str = "") -> tuple[Quantity, ...]:
+        """Numbers with their unit, of the same kind as the ``wanted`` one where that is known."""
         table = value if isinstance(value, Mapping) else {"value": value}
         self.only(table, QUANTITY, key)
         if "value" not in table:
@@ -121,7 +127,13 @@ class _Reader:
         if len(stds) not in (1, len(values)):
             raise self.fail(f"{key}.std", f"one number, or {len(values)} as of value", table["std"])
         stds = stds * len(values) if len(stds) == 1 else stds
-        factor, unit = self.to_si(key, str(table.get("unit", "")))
+        written = str(table.get("unit", ""))
+        factor, unit = self.to_si(key, written)
+        kind, own = dimension(written), dimension(wanted)
+        if written and wanted and unit != self.command_unit and None not in (kind, own):
+            beside = self.command_unit and self.command_unit in written
+            if kind != own and not beside and written not in AS_WRITTEN:
+                raise self.fail(f"{key}.unit", f"{wanted}, or another unit of its kind", written)
         both = zip(values, stds, strict=True)
         return tuple(Quantity(v * factor, free, unit, s * factor) for v, s in both)
 
@@ -282,7 +294,7 @@ def _mechanism(
                     f"{path}: [mechanism] {key} belongs to kind = {owner}, not {kind!r}"
                 )
     values = {
-        key: read.quantities(f"[mechanism.parameters] {key}", value)
+        key: read.quantities(f"[mechanism.parameters] {key}", value, UNIT_OF.get((kind, key), ""))
         for key, value in parameters.items()
     }
     for key in REQUIRED[kind]:
@@ -431,7 +443,9 @@ def _term(read: _Reader, data: Any, model: Model) -> Term:
                 )
             values[parameter.name] = Quantity(parameter.default, free=False)
             continue
-        quantity = read.quantities(f"{where} {parameter.name}", raw)[0]
+        # a current may stand for a torque: its unit is the command's, which may be any
+        unit = unit_of(parameter.size, model.joint_kind(joint), model.actuator.unit)
+        quantity = read.quantities(f"{where} {parameter.name}", raw, unit)[0]
         if not parameter.lower <= quantity.value <= parameter.upper:
             raise read.fail(
                 f"{where} {parameter.name}",
