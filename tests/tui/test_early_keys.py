@@ -36,6 +36,7 @@ class Terminal:
             os.login_tty(theirs)
             os.execv(sys.executable, [sys.executable, "-c", CALL, "tui", *words])
         os.close(theirs)
+        self.shown = b""
         until(self.hands_over, "it hands over each key")
 
     def hands_over(self) -> bool:
@@ -54,10 +55,11 @@ class Terminal:
 
     def ended(self) -> bool:
         """Whether it has ended; reads what it shows."""
+        done = self.pid == 0 or os.waitpid(self.pid, os.WNOHANG) != (0, 0)
         with contextlib.suppress(OSError):
-            while select.select([self.ours], [], [], 0.0)[0] and os.read(self.ours, 1 << 16):
-                pass
-        return self.pid == 0 or os.waitpid(self.pid, os.WNOHANG) != (0, 0)
+            while select.select([self.ours], [], [], 0.0)[0]:
+                self.shown += os.read(self.ours, 1 << 16)
+        return done
 
 
 @pytest.fixture
@@ -85,6 +87,7 @@ def test_f9_stops_before_there_is_a_screen_whatever_is_typed_after_it(
         until(opened.ended, "Ctrl+C ends it")
         opened.pid = 0
         assert termios.tcgetattr(opened.ours)[3] == opened.mode[3], "as it was found"
+        assert b"stopped" in opened.shown, "it had said nothing but 'interrupted'"
 
 
 def test_f9_stops_before_there_is_a_screen_though_the_terminal_is_closed(

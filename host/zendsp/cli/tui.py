@@ -152,7 +152,8 @@ def command(
         with errors_kept():
             app.run()
     finally:
-        stopper.close()
+        if said := stopper.close():
+            click.echo(said, err=True)
     status = app.return_code or 0
     if status > 128:
         click.echo(f"ended by {signal.Signals(status - 128).name}", err=True)

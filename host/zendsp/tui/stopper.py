@@ -85,7 +85,7 @@ class Stopper:
         os.close(verdicts_out)
         assert self._process.stdout is not None
         os.dup2(self._process.stdout.fileno(), 0)
-        self.alive, self.field = True, Field()
+        self.alive, self.field, self._heard = True, Field(), False
         self._here = threading.Event()
         self.want(target, here=False)  # before it reads a key
 
@@ -97,6 +97,7 @@ class Stopper:
         on_verdict : callable
             ``on_verdict(state, text, detail)``, called in a thread of its own.
         """
+        self._heard = True
         threading.Thread(
             target=self._listen, args=(on_verdict,), name="tui-verdicts", daemon=True
         ).start()
@@ -124,8 +125,10 @@ class Stopper:
         """
         return self._write("^")
 
-    def close(self) -> None:
-        """End it and take the terminal back."""
+    def close(self) -> str:
+        """End it and take the terminal back; return how a STOP ended to which nobody has listened,
+        empty where there was none.
+        """
         self.alive = False
         with contextlib.suppress(OSError):
             os.close(self._control)
@@ -135,6 +138,17 @@ class Stopper:
         self._process.kill()  # one that is stopped would not hear anything less
         self._process.wait()
         os.dup2(self.terminal, 0)
+        return "" if self._heard else self._last_word()
+
+    def _last_word(self) -> str:
+        """How the last STOP ended, in its words."""
+        said = ""
+        with open(self._verdicts, encoding="utf-8") as lines, contextlib.suppress(ValueError):
+            for line in lines:
+                verdict = json.loads(line)
+                if verdict["state"] in (StopState.STOPPED, StopState.NOT_STOPPED):
+                    said = ": ".join(filter(None, (verdict["text"], verdict["detail"])))
+        return said
 
     def _write(self, line: str) -> bool:
         try:
