@@ -328,22 +328,26 @@ def test_what_a_command_is_rounded_by_is_in_the_intervals() -> None:
     assert wide.rounded().max() < 1e-6 * step, "a command that scatters over steps is not rounded"
 
 
-def test_each_part_of_a_move_has_the_speed_at_which_its_command_acts() -> None:
-    """A joint still settles in its fast parts, and a command acts a sample and a half later."""
+@pytest.mark.parametrize("inertia", [0.0, 30.0])
+def test_each_part_of_a_move_has_the_motion_at_which_its_command_acts(inertia: float) -> None:
+    """A joint still settles in its fast parts, and a command acts a sample and a half later. Of 11
+    slides of 3 kg the viscous friction was 0.2 % too large, and 5 of its intervals held it.
+    """
     period, rows = 0.001, 4000
     t = np.arange(rows) * period
     wanted = np.interp(t, [0, 0.5, 0.6, 3.4, 3.5, 4.0], [0, 0, 1, 1, 0, 0])
     speed = wanted * (1.0 + 0.3 * np.exp(-(t - 0.6) / 0.5))
-    q = np.cumsum(speed) * period
-    at = np.interp(t + 1.5 * period, t, q), np.interp(t + 1.5 * period, t, speed)
-    torque = 0.5 * at[1] + 40.0 * at[0]
-    columns = {"play_time": t, "q": q[:, None], "tau": torque[:, None]}
+    q, turn = np.cumsum(speed) * period, np.gradient(speed, period)
+    force = 0.5 * speed + 40.0 * q + inertia * turn
+    columns = {"play_time": t, "q": q[:, None]}
+    columns["tau"] = np.interp(t + 1.5 * period, t, force)[:, None]
     rec = Recording.from_columns(columns, sample_time=period)
     plan = Reference(np.cumsum(wanted)[:, None] * period, period, kind="trapezoid", machine="")
     pieces = constant_speed_pieces(rec, plan, 1, gravity=False)
     assert np.ptp(pieces.speed) > 0.04
-    left = pieces.torque - 0.5 * pieces.speed - 40.0 * pieces.q
-    assert np.abs(left).max() < 0.01  # N m; at the row's own time 0.06, with the part's speed 0.02
+    left = pieces.torque - 0.5 * pieces.speed - 40.0 * pieces.q - inertia * pieces.acceleration
+    # N m; at the row's own time 0.06, with the part's speed 0.02, the acceleration before 0.006
+    assert np.abs(left).max() < 0.004
 
 
 def test_no_speed_of_a_steady_part_is_read_from_the_ramp_after_it() -> None:

@@ -164,9 +164,9 @@ def constant_speed_pieces(
     beside = min(SMOOTHED, min((b - a for a, b in moves), default=SMOOTHED) // 4) // 2
     window = max(3, 2 * beside + 1)
     qd, qdd = (smoothed(q, window, rec.sample_time, order) for order in (1, 2))
-    ahead = ACTS * rec.sample_time / rec.decimation
-    q, qd = q + ahead * qd, qd + ahead * qdd
-    g = g + ahead * smoothed(g, window, rec.sample_time, 1)
+    # each row has the command that acts by then; the acceleration, too, changes until then
+    at = np.arange(len(tau))
+    acting = np.interp(at - ACTS / rec.decimation, at, tau - g)
     turns = smoothed(every, window, rec.sample_time, 2)
     pieces, others_turn = [], []
     for part, (first, last) in enumerate(moves):
@@ -175,7 +175,7 @@ def constant_speed_pieces(
         if last - first < SHORTEST:
             continue
         for piece in np.array_split(np.arange(first, last), 10):
-            means = (x[piece].mean() for x in (q, qd, tau - g, g, qdd, np.cos(q), np.sin(q)))
+            means = (x[piece].mean() for x in (q, qd, acting, g, qdd, np.cos(q), np.sin(q)))
             pieces.append((part, *means, tau[piece].std()))
             others_turn.append(turns[piece].mean(axis=0))
     columns = np.array(pieces).T
