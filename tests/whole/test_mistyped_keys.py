@@ -28,7 +28,7 @@ from zendsp_target.concealed.load import load_concealed
 Read = Callable[[Any, Path], Any]
 ROOT = Path(__file__).resolve().parents[2]
 ESTIMATE = {"value": 0.5, "std": 0.1, "unit": "N m"}
-QUANTITY = {"value": 0.5, "free": False, "unit": "N m", "std": 0.1}
+QUANTITY = {"value": 0.5, "free": False, "unit": "", "std": 0.1}
 
 
 def _effect(name: str) -> dict[str, Any]:
