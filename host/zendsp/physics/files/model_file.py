@@ -444,8 +444,9 @@ def _term(read: _Reader, data: Any, model: Model) -> Term:
             values[parameter.name] = Quantity(parameter.default, free=False)
             continue
         # a current may stand for a torque: its unit is the command's, which may be any
+        known = model.kind not in ("python", "fmu")  # of those nobody says whether a joint slides
         unit = unit_of(parameter.size, model.joint_kind(joint), model.actuator.unit)
-        quantity = read.quantities(f"{where} {parameter.name}", raw, unit)[0]
+        quantity = read.quantities(f"{where} {parameter.name}", raw, unit * known)[0]
         if not parameter.lower <= quantity.value <= parameter.upper:
             raise read.fail(
                 f"{where} {parameter.name}",
