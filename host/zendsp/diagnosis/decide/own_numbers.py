@@ -258,7 +258,6 @@ def _with_zero(
     if not min(values) < math.inf:
         return None
     for _ in range(ROUNDS):
-
         zero = _nearest(data, model, joint, (zero - step, zero + step))
         moved = _moved(model, joint, zero)
         own = fit_scored(data, moved, _common(data, moved, joint), (joint,), jobs=jobs)
