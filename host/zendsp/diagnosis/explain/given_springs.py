@@ -11,10 +11,11 @@ from dataclasses import replace
 
 from zendsp.diagnosis.measure.likelihood import calibrate_joint, fit_scored, informative
 from zendsp.diagnosis.progress import Step
-from zendsp.diagnosis.search.forward import Searcher, is_white
+from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simplify import simplify
+from zendsp.diagnosis.search.white import is_white
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term

@@ -22,10 +22,11 @@ from zendsp.diagnosis.explain.given_springs import upon_given_springs
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.progress import Progress, Step
-from zendsp.diagnosis.search.forward import Searcher, is_white
+from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simplify import upon
+from zendsp.diagnosis.search.white import is_white
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model

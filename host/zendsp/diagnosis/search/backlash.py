@@ -8,39 +8,46 @@ overcomes what stops the others:
 * Ever slower observers: a fast one corrects the load at every sample and hides the instants when a
 contact
   begins.
-* A coarse grid of gaps and stiffnesses around what was found.
+* Populations of models around what was found (``population``).
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
 
 from zendsp.diagnosis.measure.likelihood import (
     BETTER,
     SLOWEST,
     Scored,
-    deviances,
+    fastest,
     fitted_deviance,
     tune_bandwidth,
 )
 from zendsp.diagnosis.search.hypothesis import with_numbers
+from zendsp.diagnosis.search.population import likeliest
+from zendsp.diagnosis.search.white import is_white
 from zendsp.physics.calibration.fit import Data, fit
-from zendsp.physics.kernel.threads import threads
+from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.model import Model
+
+Array = npt.NDArray[np.float64]
 
 LOSSY = 0.2  # of critical damping
 DAMPED = (0.05, 0.5)  # of critical damping: a contact outside this range starts again at LOSSY
 CLOSED = 1e-4  # of the travel: from a smaller gap no move leads to an open one
-GAP_ROUNDS = 3
 PROGRESS = 50.0  # deviance: a round that gains less has led nowhere
-GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
-STIFFNESSES = (0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-LOSSES = (0.15, 1.0)  # of critical damping; metal on metal has a fiftieth
+# standard deviations of logarithms to begin with: a basin spans a factor of three in the gap, of
+# sixteen in the stiffness, 12 % in the inertia. The losses are those of a contact at critical
+# damping, which goes with the root of the stiffness
+SPREAD = {"gap": 0.25, "stiffness": 1.0, "damping": 0.6, "load_inertia": 0.15, "inertia": 0.03}
+OTHER = 0.05  # of the other numbers: calibrated, and little moved by a gap
+NARROWER = (1.0, 0.3, 0.1)  # times these, one after the other: a start may lie in a narrow valley
 # slower observers in a row without a gain, after which none gained in the cases examined
 IDLE = 2
-TRIED = 3  # grid points that are fitted
 
 
 def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -> Scored:
@@ -63,16 +70,27 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
     if _values(scored.model, joint)["gap"] < CLOSED * travel:
         return scored
     best = min(scored, descend(lossy(scored, joint, jobs), joint, jobs), key=lambda s: s.deviance)
-    for _ in range(GAP_ROUNDS):
-        if before - best.deviance < worth:
+    for scale in NARROWER:
+        if before - best.deviance < worth or is_white(best, joint):
             break
-        softer = lossy(best, joint, jobs)
-        moved = [*([softer] if softer is not best else []), *around(best, joint, jobs)]
-        start = min(moved, key=lambda s: s.deviance)
-        if not start.deviance < best.deviance - PROGRESS:
-            break
-        best = min(start, descend(start, joint, jobs), key=lambda s: s.deviance)
+        # the faster the observer, the smoother the cost
+        data, handles = best.data.at_bandwidth(joint, fastest(best.data)), best.fit.handles
+        spread = _spread(handles) * scale**2
+        model = likeliest(data, best.model, handles, joint, spread, PROGRESS, jobs)
+        if model is best.model:
+            continue
+        start = _refitted(best, data, model, joint, jobs)
+        best = min(best, descend(start, joint, jobs), key=lambda s: s.deviance)
     return best
+
+
+def _spread(handles: Sequence[Handle]) -> Array:
+    """The covariance of the logarithms of a model's numbers, (p, p)."""
+    keys = [h.key for h in handles]
+    root = np.diag([SPREAD.get(key, OTHER) for key in keys])
+    if {"damping", "stiffness"} <= {*keys}:
+        root[keys.index("damping"), keys.index("stiffness")] = 0.5 * SPREAD["stiffness"]
+    return root @ root.T
 
 
 def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
@@ -114,29 +132,6 @@ def descend(scored: Scored, joint: int, jobs: int) -> Scored:
             break
         best = Scored(result, data, value, (joint,))
     return best
-
-
-def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
-    """Fits from the likeliest points of a grid of gaps and stiffnesses around what was found."""
-    values = _values(scored.model, joint)
-    points = [
-        with_numbers(
-            scored.model,
-            "backlash",
-            joint,
-            {
-                "gap": g * values["gap"],
-                "stiffness": k * values["stiffness"],
-                "damping": c * math.sqrt(k) * _moderate(values),
-            },
-        )
-        for g, k, c in itertools.product(GAPS, STIFFNESSES, LOSSES)
-        if (g, k, c) != (1.0, 1.0, 1.0)
-    ]
-    likely = deviances(scored.data, points, joint, jobs)
-    order = sorted(range(len(points)), key=lambda i: likely[i])[:TRIED]
-    with threads(jobs) as each:
-        return list(each(lambda i: _refitted(scored, scored.data, points[i], joint, 1), order))
 
 
 def _moderate(values: Mapping[str, float]) -> float:

@@ -25,12 +25,12 @@ from zendsp.diagnosis.search.hypothesis import (
     price,
 )
 from zendsp.diagnosis.search.rounds import GLANCE, WORTH, Rounds
-from zendsp.diagnosis.search.short_fits import SETTLED, WAIT
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simpler_laws import split_asymmetry, straightened
 from zendsp.diagnosis.search.simplify import simplify
+from zendsp.diagnosis.search.white import is_white
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import effective_inertia
-from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.effects.column_shift import least_shift
 from zendsp.physics.effects.creep import ROUND, STRAIGHT
@@ -40,7 +40,6 @@ from zendsp.physics.model import Model, Quantity, Term
 # 0 to 10 ms ended at the same numbers
 CREEP, LEAD = 0.03, 5e-3
 RUNNERS = 4  # hypotheses per round that are tested on the recordings to choose by
-WHITE = 1.2  # slow variation of the innovations, over that of white noise
 # gain per sample, a tenth of the innovations' energy: below it no second effect is looked for
 # behind a first
 LOOK_AHEAD = 0.1
@@ -49,13 +48,10 @@ LONGEST_CHAIN = 6  # most effects of a chain
 # a decision asks whether what lacks depends on the position
 MOST_WAVES = 3
 FIRST = 0.4  # of the best gain: least gain of a runner-up to be tried as the first step
-# of the samples with a change of the count: with fewer (slow motion), whiteness is not tested
-CODES = 0.5
 # times the inertia of a joint's bodies: the search begins with a rotor larger than this. Without
 # its rotors a TX40 shows 5.8 and more at joints 4 to 6, where that is needed, and 0.4 to 1.0 at the
 # others, where the search finds them anyway
 HOLLOW = 2.0
-LARGEST_BLOCK = 4.5  # standard deviations: a block of white innovations is not larger
 
 
 class Searcher:
@@ -340,30 +336,6 @@ class Searcher:
             if behind and _likeliest(behind) + first.price < total - margin:
                 best, total = first, _likeliest(behind) + first.price
         return [best, *[r for r in rivals if r is not best]]
-
-
-def is_white(scored: Scored, joint: int) -> bool:
-    """Whether the innovations of a slow observer are white: no more slow variation than white
-    noise, and no block that stands out.
-    """
-    bandwidth = scored.data.bandwidth[joint - 1]
-    if bandwidth > SETTLED:
-        return False
-    means, total, count = [], 0.0, 0
-    for rec in scored.data.records:
-        record = rec[joint - 1]
-        r = run(record, scored.model, bandwidth, inner=scored.data.inner).innovations[
-            record.counted
-        ]
-        if len(r) < CODES * record.n:
-            return False
-        size = max(10, round(0.1 / record.sample_time))
-        r = r[size : size + (len(r) - size) // size * size]
-        means.append(r.reshape(-1, size).sum(axis=1) / math.sqrt(size))
-        total += float(r @ r)
-        count += len(r)
-    sums = np.concatenate(means) / math.sqrt(max(total / max(count, 1), 1e-300))
-    return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < LARGEST_BLOCK
 
 
 def _waves(steps: list[Step]) -> int:
