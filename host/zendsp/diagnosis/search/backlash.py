@@ -90,7 +90,8 @@ def _spread(handles: Sequence[Handle]) -> Array:
     root = np.diag([SPREAD.get(key, OTHER) for key in keys])
     if {"damping", "stiffness"} <= {*keys}:
         root[keys.index("damping"), keys.index("stiffness")] = 0.5 * SPREAD["stiffness"]
-    return root @ root.T
+    covariance: Array = root @ root.T
+    return covariance
 
 
 def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
