@@ -44,7 +44,7 @@ PROGRESS = 50.0  # deviance: a round that gains less has led nowhere
 # sixteen in the stiffness, 12 % in the inertia. The losses are those of a contact at critical
 # damping, which goes with the root of the stiffness
 SPREAD = {"gap": 0.25, "stiffness": 1.0, "damping": 0.6, "load_inertia": 0.15, "inertia": 0.03}
-OTHER = 0.05  # of the other numbers: calibrated, and little moved by a gap
+CALIBRATED = 0.05  # of numbers that a gap moves little
 NARROWER = (1.0, 0.3, 0.1)  # times these, one after the other: a start may lie in a narrow valley
 # slower observers in a row without a gain, after which none gained in the cases examined
 IDLE = 2
@@ -87,7 +87,7 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
 def _spread(handles: Sequence[Handle]) -> Array:
     """The covariance of the logarithms of a model's numbers, (p, p)."""
     keys = [h.key for h in handles]
-    root = np.diag([SPREAD.get(key, OTHER) for key in keys])
+    root = np.diag([SPREAD.get(key, CALIBRATED) for key in keys])
     if {"damping", "stiffness"} <= {*keys}:
         root[keys.index("damping"), keys.index("stiffness")] = 0.5 * SPREAD["stiffness"]
     covariance: Array = root @ root.T
