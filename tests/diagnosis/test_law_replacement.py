@@ -18,7 +18,8 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.decide import believed, laws, nameless, patchwork
 from zendsp.diagnosis.decide.claims import Decision, Piece, unclaimed
 from zendsp.diagnosis.decide.contract import Reason
-from zendsp.diagnosis.decide.remember import remembered
+from zendsp.diagnosis.decide.findings import Estimate, Finding
+from zendsp.diagnosis.decide.remember import as_reported, remembered
 from zendsp.diagnosis.explain import joints, one_joint
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search import simpler_laws, simplify
@@ -26,6 +27,7 @@ from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.term_numbers import file_model
 
 
 @pytest.mark.parametrize(
@@ -210,6 +212,21 @@ def test_refinements_are_held_fixed_in_the_model_file() -> None:
     model = remembered(given.with_terms(tuple(replace(t) for t in terms)), given, [outcome], [])
     assert [any(q.free for q in t.parameters.values()) for t in model.terms] == [True, True, False]
     assert model.discrepancy.torque == (0.1,)
+
+
+def test_a_model_file_has_the_uncertainties_of_the_report() -> None:
+    """A breakaway of 0.24 ± 0.00048 stood there ± 0.00018: of what it has above Coulomb alone."""
+    coulomb = Term("coulomb", 1, {"level": Quantity(0.15, std=0.0003)})
+    falls = {"breakaway": Quantity(0.09, std=0.00018), "velocity": Quantity(0.25, std=0.0005)}
+    falls |= {"exponent": Quantity(2.0, free=False)}
+    model = Model("m", 1e-3, "rotary", {}, (coulomb, Term("stribeck", 1, falls)))
+    numbers = {
+        "breakaway": Estimate(0.24, 0.00048, "N m"), "velocity": Estimate(0.3, 0.1, "rad/s")
+    }  # fmt: skip
+    said = Finding("stribeck", 1, numbers, 0.9, 1.0, (), (), "")
+    written = as_reported(file_model(model), [said]).terms[1].parameters
+    assert (written["breakaway"].value, written["breakaway"].std) == (0.24, 0.00048)
+    assert written["velocity"].std == 0.0005, "where the numbers differ, each keeps its own"
 
 
 def test_claims_are_judged_with_the_terms_that_a_refinement_had_replaced(

@@ -26,7 +26,7 @@ from zendsp.diagnosis.decide.result import Detectable, Workings
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.report import figures, files, html
-from zendsp.diagnosis.report.summary import _sized, summary, unnamed
+from zendsp.diagnosis.report.summary import _refinement, _sized, summary, unnamed
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Quantity, Term
 
@@ -55,6 +55,16 @@ def test_the_report_does_not_say_settled_where_the_headline_cannot_tell() -> Non
 def test_the_unit_of_a_pure_number_is_not_read_out() -> None:
     assert _sized(Detectable(1, "actuator", "torque_gain", 0.0025, "1", 0.1)) == "0.0025"
     assert _sized(Detectable(1, "dry_friction", "coulomb", 0.25, "N m", 0.1)) == "0.25 N m"
+
+
+def test_a_refinement_beneath_a_finding_is_not_said_to_be_for_the_fit_alone() -> None:
+    """Coulomb friction, to which a Stribeck curve falls, stood there as the others."""
+    falls, dry, wave = (
+        Finding(name, 1, {}, 0.9, 1.0, (), (), "") for name in ("stribeck", "coulomb", "ripple")
+    )
+    d: Any = SimpleNamespace(findings=(falls,), refinements=(dry, wave))
+    assert _refinement(dry, d) == "coulomb (joint 1, beneath stribeck)"
+    assert _refinement(wave, d) == "ripple (joint 1)"
 
 
 @pytest.mark.parametrize(("every", "said"), [(1, "over 0.25 s ["), (10, "over 0.64 s [")])

@@ -202,7 +202,7 @@ def _print(result: Result, folder: Path, as_json: bool) -> None:
             )
         )
         return
-    click.echo(f"{result.title} ({result.target})")
+    click.echo(f"{result.title} ({result.target}; ± is one standard deviation)")
     for key, estimate in result.values.items():
         click.echo(f"  {key.replace('_', ' '):<44} {estimate}")
     for text in result.findings:

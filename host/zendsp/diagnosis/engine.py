@@ -44,7 +44,7 @@ from zendsp.diagnosis.decide.outcome import (
 )
 from zendsp.diagnosis.decide.propose import experiment_of, propose
 from zendsp.diagnosis.decide.pushes import unpushed
-from zendsp.diagnosis.decide.remember import remembered
+from zendsp.diagnosis.decide.remember import as_reported, remembered
 from zendsp.diagnosis.decide.result import (
     Detectable,
     Diagnosis,
@@ -268,7 +268,7 @@ def _with_zeros_given(
         notes=(*notes, *left_out(file_model(improved))),
         given=given_file,
         calibrated=file_model(whole.calibrated),
-        improved=file_model(improved),
+        improved=as_reported(file_model(improved), (*findings, *refinements)),
         unexplained=left_over(decisions, given, parts.fit),
         missing=lacking,
         remaining={j: after for j, (_, _, after) in seen_at.items()},

@@ -43,7 +43,8 @@ def used_columns(signals: Sequence[Signals], model: Model) -> list[str]:
         # a current that shows the drive in one recording shows it for all
         used = np.flatnonzero(finite.any(axis=0) if role == "current" else finite.all(axis=0)) + 1
         if len(used):
-            notes.append(f"{role} of {_joints(used.tolist())} was used: {_how(role)}")
+            how = _follows(signals, used - 1) if role == "current" else HOW[role]
+            notes.append(f"{role} of {_joints(used.tolist())} was used: {how}")
         elif not any(f"{role} of joint" in note for s in signals for note in s.notes):
             notes.append(f"{role} was not used: it holds no numbers")
     return notes
@@ -80,11 +81,22 @@ def _read_by_effects(role: str, each: Sequence[Array], model: Model) -> str:
     return f"{role} was used ({low:.4g} to {high:.4g}): {by}"
 
 
-def _how(role: str) -> str:
-    shown = [effect.name for effect in library().values() if role in effect.shown_by]
-    if role == "current":
-        return f"it follows the command, so there is no {' or '.join(shown)}, and none was tried"
-    return HOW[role]
+def _follows(signals: Sequence[Signals], joints: npt.NDArray[np.intp]) -> str:
+    """What a current shows that follows the command of some joints (0-based), and by what factor:
+    a torque constant, or a drive that is told another unit.
+    """
+    factors = []
+    for j in joints:
+        having = [s for s in signals if "current" in s.extra]
+        told = [(s.extra["current"][:, j], s.command[:, j]) for s in having]
+        whole = [(x - x.mean(), u - u.mean()) for x, u in told if np.isfinite(x).all()]
+        slope = sum(float(x @ u) for x, u in whole) / sum(float(u @ u) for _, u in whole)
+        factors.append(f"{slope:.3g}")
+    shown = [effect.name for effect in library().values() if "current" in effect.shown_by]
+    return (
+        f"it follows the command ({', '.join(factors)} times it), so there is no"
+        f" {' or '.join(shown)}, and none was tried"
+    )
 
 
 def _joints(numbers: Sequence[int]) -> str:

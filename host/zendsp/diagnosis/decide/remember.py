@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -64,6 +65,24 @@ def _stated(term: Term, findings: Sequence[Finding]) -> Term:
             elif q is not None and between and q.free and 0.0 < e.std < q.std:
                 numbers[name] = replace(q, value=e.value, std=e.std, free=False)
     return replace(term, parameters=numbers)
+
+
+def as_reported(model: Model, stated: Sequence[Finding]) -> Model:
+    """A model of a file with the standard deviations of the report, where it has its numbers: a
+    breakaway of a file is a friction, in the search it is what that has above the Coulomb level.
+    """
+    terms = []
+    for term in model.terms:
+        numbers = dict(term.parameters)
+        for f in stated:
+            if (f.effect, f.joint) == (term.effect, term.joint):
+                numbers |= {
+                    name: replace(numbers[name], std=e.std)
+                    for name, e in f.parameters.items()
+                    if name in numbers and math.isclose(e.value, numbers[name].value)
+                }
+        terms.append(replace(term, parameters=numbers))
+    return replace(model, terms=tuple(terms))
 
 
 def _numbered(terms: Sequence[Term]) -> list[tuple[str, int, int]]:

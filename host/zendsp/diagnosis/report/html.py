@@ -12,7 +12,7 @@ from zendsp.diagnosis.decide.contract import Verdict, dark
 from zendsp.diagnosis.decide.findings import Finding, number
 from zendsp.diagnosis.decide.result import Diagnosis, Errors
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import SMALLER, before, hidden, unasked, unnamed
+from zendsp.diagnosis.report.summary import SMALLER, before, hidden, standing, unasked, unnamed
 from zendsp.diagnosis.report.times import times_in_words
 
 SAID = 4  # findings on the first sheet
@@ -72,6 +72,10 @@ def page(d: Diagnosis, figures: list[tuple[Chart, Path]]) -> str:
         parts.append(_pictures(rest, "law", named=True))
     if d.refinements:
         words = "What improves the fit further, and is not claimed as physics of its own."
+        words += "".join(
+            f" {f.effect} of joint {f.joint} is what {by} stands upon."
+            for f, by in standing(d)
+        )
         parts += ["<h2>Refinements</h2>", f"<p>{words}</p>", _findings_table(d.refinements)]
     where = _pictures(rest, "where")
     parts += ["<h2>Where the mismatch lives</h2>", _where(d, pictured=bool(where)), where]
@@ -81,9 +85,10 @@ def page(d: Diagnosis, figures: list[tuple[Chart, Path]]) -> str:
     if d.notes:
         parts += ["<h2>About the data</h2><ul>", *[f"<li>{escape(n)}" for n in d.notes], "</ul>"]
     parts.append(
-        f"<p class=small>{d.seconds:.1f} s. Calibrated: the given model with its free parameters"
-        " fitted again. Untouched: what neither the fit nor any choice has seen; of a single"
-        " held-out recording, the second half of its motion. Errors are drawn of it.</p></div>"
+        f"<p class=small>{d.seconds:.1f} s. ± is one standard deviation. Calibrated: the given"
+        " model with its free parameters fitted again. Untouched: what neither the fit nor any"
+        " choice has seen; of a single held-out recording, the second half of its motion. Errors"
+        " are drawn of it.</p></div>"
         "</html>"
     )
     return "\n".join(parts)

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.headline import SMALLEST_SHARE, percent
 from zendsp.diagnosis.report.times import times_in_words
-from zendsp.physics.effects import get_effect, library, unit_of
+from zendsp.physics.effects import get_effect, library, stands_on, unit_of
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
+    from zendsp.diagnosis.decide.findings import Finding
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis
 
 REFINEMENTS = 6  # that a summary names
@@ -54,7 +55,7 @@ def summary(d: Diagnosis) -> str:
         more = len(d.refinements) - REFINEMENTS
         lines.append(
             "refinements: "
-            + ", ".join(f"{f.effect} (joint {f.joint})" for f in d.refinements[:REFINEMENTS])
+            + ", ".join(_refinement(f, d) for f in d.refinements[:REFINEMENTS])
             + (f", and {more} more" if more > 0 else "")
         )
     for x in d.discrepancy[:7]:
@@ -69,8 +70,26 @@ def summary(d: Diagnosis) -> str:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:
         lines += ["", *[f"note: {n}" for n in d.notes]]
-    lines.append(f"({d.seconds:.1f} s)")
+    said = "; ± is one standard deviation" if any("±" in line for line in lines) else ""
+    lines.append(f"({d.seconds:.1f} s{said})")
     return "\n".join(lines)
+
+
+def standing(d: Diagnosis) -> list[tuple[Finding, str]]:
+    """The refinements without which a finding would not be, each with the name of that: the dry
+    friction beneath a Stribeck curve.
+    """
+    return [
+        (f, found.effect)
+        for f in d.refinements
+        for found in d.findings
+        if found.joint == f.joint and stands_on(get_effect(found.effect), f.effect)
+    ]
+
+
+def _refinement(f: Finding, d: Diagnosis) -> str:
+    by = next((f", beneath {by}" for other, by in standing(d) if other is f), "")
+    return f"{f.effect} (joint {f.joint}{by})"
 
 
 def _missed(detectable: Sequence[Detectable]) -> str:
