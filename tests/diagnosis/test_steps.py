@@ -197,20 +197,48 @@ def test_a_search_goes_on_from_what_was_found_where_more_is_promised(
     assert searcher.further(found) == (("further", found.final, found) if goes_on else found)
 
 
-@pytest.mark.parametrize(
-    ("contradicted", "waits"),
-    [(("gravity",), "ripple"), ((), "gravity"), (("gravity", "ripple"), "gravity")],
-)
-def test_a_step_waits_for_a_second_that_is_not_contradicted_or_that_another_doubles(
-    contradicted: tuple[str, ...], waits: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize(("contradicted", "accepted", "both", "waits"), [
+    ((), (), -20_000.0, "gravity"),
+    (("gravity",), (), -20_000.0, "ripple"),
+    (("gravity",), ("gravity",), -20_000.0, "gravity"),
+    (("gravity",), ("gravity",), -17_000.0, "ripple"),
+    (("gravity", "ripple"), ("ripple",), -20_000.0, "ripple"),
+    (("gravity", "ripple"), (), -20_000.0, ""),
+])  # fmt: skip
+def test_a_step_that_is_contradicted_alone_waits_where_it_is_accepted_together_with_another(
+    contradicted: tuple[str, ...], accepted: tuple[str, ...], both: float, waits: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     """The balancer of a real arm was a gravity first, which the recordings to choose by
     contradicted: a hysteresis waited, and friction and a spring were found. Of a lag and a spring
-    each was contradicted, bent to the work of both, and neither was found.
+    each was contradicted, bent to the work of both, and neither was found. Of a pendulum with
+    Coulomb friction and drag a friction over the travel waited, and neither was found.
     """
     columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
     model = model_of(VISCOUS, COULOMB)
-    data = data_of(columns, model)
+
+    def rival(law: str, deviance: float, of: str = "") -> Rival:
+        scored: Any = SimpleNamespace(deviance=deviance, model=model, of=of)
+        return Rival(law, 1, scored, 0.0, (), ())
+
+    gravity, ripple = rival("gravity", -9000.0, "gravity"), rival("ripple", -8500.0, "ripple")
+
+    def accept(_: Any, asked: Rival, waits: bool = False) -> bool:
+        return asked.effect not in contradicted if waits else cast(Any, asked.scored).of in accepted
+
+    monkeypatch.setattr(Rounds, "round", lambda _, s: [rival("stiffness", both, s.of)])
+    monkeypatch.setattr(Rounds, "glance", lambda *_: -18_000.0)
+    searcher = Searcher(data_of(columns, model), 1, accept, 1, print)
+    current: Any = SimpleNamespace(deviance=0.0)
+    found = searcher._waits(current, [gravity, ripple])
+    assert (found.effect if found else "") == waits
+
+
+def test_two_steps_are_taken_together_of_which_the_first_waited(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    model = model_of(VISCOUS, COULOMB)
     levels = iter(range(0, -90_000, -9000))
 
     def scored() -> Any:
@@ -220,25 +248,23 @@ def test_a_step_waits_for_a_second_that_is_not_contradicted_or_that_another_doub
 
     def round_of(_: Rounds, current: Any) -> list[Rival]:
         asked.append(current.deviance)
-        laws = ("gravity", "ripple") if len(asked) == 1 else ("stiffness",)
-        return [Rival(law, 1, scored(), 0.0, model.terms[:1], ()) for law in laws]
+        law = "gravity" if len(asked) == 1 else "stiffness"
+        return [Rival(law, 1, scored(), 0.0, model.terms[:1], ())]
 
     def accept(before: Any, rival: Rival, waits: bool = False) -> bool:
         pair = rival.effect == "stiffness" and before.deviance == 0.0
-        return (pair and not asked[2:]) or (waits and rival.effect not in contradicted)
+        return (pair and not asked[2:]) or waits
 
     monkeypatch.setattr(forward, "is_white", lambda *_: False)
     monkeypatch.setattr(Rounds, "round", round_of)
     monkeypatch.setattr(Rounds, "glance", lambda _, scored, *__: 2.1 * scored.deviance)
     monkeypatch.setattr(Searcher, "_best_first", lambda _, __, rivals: rivals)
     monkeypatch.setattr(forward, "_simplest_sufficient", lambda rivals, _: rivals)
-    searcher = Searcher(data, 1, accept, 1, print)
     monkeypatch.setattr(forward, "simplify", lambda found, *_: (found.final, ()))
-    steps = searcher._chain(scored()).steps
+    steps = Searcher(data_of(columns, model), 1, accept, 1, print)._chain(scored()).steps
     assert [(step.chosen.effect, step.alone) for step in steps] == [
-        (waits, False), ("stiffness", True)
+        ("gravity", False), ("stiffness", True)
     ]
-    assert asked[1] == {"gravity": -9000.0, "ripple": -18_000.0}[waits]
 
 
 @pytest.mark.parametrize(("behind", "waits"), [(100.0, ""), (9000.0, "gravity")])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -150,23 +151,28 @@ class Searcher:
     def _waits(self, current: Scored, rivals: list[Rival]) -> Rival | None:
         """The step that waits for the next one where none passes by itself: the first likely one
         that the recordings to choose by do not contradict, if another one is worth a step behind
-        it; where all are contradicted, the first that another one more than doubles. Alone it was
-        bent: a lag that did a spring's work had 5 ms in place of 4.
+        it; or a likelier one that they contradict alone and accept together with another, if the
+        two are likelier still. Alone it was bent: a lag that did a spring's work had 5 ms in place
+        of 4, a Coulomb friction beside which a drag was hidden 12 N mm in place of 15.
         """
         least = max(WORTH, LOOK_AHEAD * self.rounds.n)
         likely = [r for r in rivals if _gain(current, r) > least]
-        plain = next((r for r in likely if self.accept(current, r, waits=True)), None)
-        if plain is None:
-            return next((r for r in likely if self._bent(current, r)), None)
-        seen = frozenset(r.effect for r in rivals[:GLANCE])
-        ahead = self.rounds.glance(plain.scored, seen)
-        return plain if ahead < plain.scored.deviance - least else None
+        bent = [*takewhile(lambda r: not self.accept(current, r, waits=True), likely)]
+        found = [(self._together(current, r), r) for r in bent]
+        for plain in likely[len(bent) : len(bent) + 1]:
+            ahead = self.rounds.glance(plain.scored, frozenset(r.effect for r in rivals[:GLANCE]))
+            worth = ahead < plain.scored.deviance - least
+            found.append((ahead + plain.price if worth else math.inf, plain))
+        total, best = min(found, key=lambda pair: pair[0], default=(math.inf, None))
+        return best if total < math.inf else None
 
-    def _bent(self, current: Scored, rival: Rival) -> bool:
-        """Whether a second step promises to gain more than this one did alone."""
-        gain = current.deviance - rival.value
-        seen = frozenset({rival.effect})
-        return self.rounds.glance(rival.scored, seen) + rival.price < rival.value - max(gain, WAIT)
+    def _together(self, current: Scored, first: Rival) -> float:
+        """The deviance plus price of a step with the likeliest one behind it that the recordings to
+        choose by accept together with it; infinite where they accept none.
+        """
+        behind = self.rounds.round(first.scored)[:RUNNERS]
+        both = (replace(r, price=first.price + r.price) for r in behind)
+        return min((r.value for r in both if self.accept(current, r)), default=math.inf)
 
     def softened(self, base: Scored) -> Scored | None:
         """The calibrated model with a dry friction that creeps instead of holding; None where it
