@@ -155,7 +155,7 @@ def test_a_set_value_is_told_by_its_numbers(slope: float, noise: float, is_one: 
 
 @pytest.mark.parametrize(
     ("slope", "carries", "refused"),
-    [(170.0, True, False), (170.0, False, True), (0.001, True, True), (0.001, False, True)],
+    [(170.0, True, False), (170.0, False, True), (0.004, True, True), (0.004, False, True)],
 )
 def test_a_light_link_may_carry_a_hundred_times_its_own_inertia(
     slope: float, carries: bool, refused: bool
@@ -165,4 +165,12 @@ def test_a_light_link_may_carry_a_hundred_times_its_own_inertia(
     """
     found = Regression(slope, 0.01 * slope, 0.99, 0.5, 0.1, 0.0, 0.0, 1.0, False)
     with pytest.raises(RecordingError, match="sides of a gear") if refused else nullcontext():
-        _geared("run", found, carries)
+        _geared("run", found, carries, "N m")
+
+
+def test_a_column_in_milli_units_is_told_as_that_before_any_gear() -> None:
+    """Milliamperes under a head of amperes were "different sides of a gear"."""
+    for slope, told in ((1200.0, "mA in place of A"), (8e-4, "A under a head that says mA")):
+        found = Regression(slope, 0.01 * slope, 0.99, 0.5, 0.1, 0.0, 0.0, 1.0, False)
+        with pytest.raises(RecordingError, match=told):
+            _geared("run", found, False, "A")

@@ -168,7 +168,7 @@ def check_driven(
             own = _own_number(model, i + 1, found.slope) if stated else ""
             likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "", own)
             _undo(name, found, likely, period, model, i)
-            _geared(name, found, model.kind in TREES)
+            _geared(name, found, model.kind in TREES, command_unit(model, i))
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
 
 
@@ -235,19 +235,22 @@ def scaled(name: str, slopes: Sequence[float], unit: str) -> None:
         )
 
 
-def _geared(name: str, found: Regression, carries: bool) -> None:
+def _geared(name: str, found: Regression, carries: bool, unit: str) -> None:
     """Refuse a joint whose inertia no model has. ``carries``: the model has bodies, of which the
-    last may be so light that what it carries has a hundred times its inertia.
+    last may be so light that what it carries has a hundred times its inertia. ``unit``: of the
+    command, as the model expects it.
     """
     small = 0.0 < found.slope + ERRORS * found.error < 1.0 / BY_GUESS
     large = not carries and found.slope - ERRORS * found.error > BY_GUESS
     if found.r2 > GOOD and (small or large):
         gear = f" of about {found.slope**-0.5:.2g}" if small and found.slope > 0 else ""
+        why = thousandfold(found.slope, unit) or (
+            "position, command and model are of different sides of a gear, or in other units."
+            f" Position and torque of a motor before a gear{gear} show such an inertia: give the"
+            " model the motor's numbers, or [sensor] and [actuator] gain the gear"
+        )
         raise RecordingError(
-            f"{name}: the inertia comes out as {found.slope:.2g} times the model's: position,"
-            " command and model are of different sides of a gear, or in other units. Position and"
-            f" torque of a motor before a gear{gear} show such an inertia: give the model the"
-            " motor's numbers, or [sensor] and [actuator] gain the gear"
+            f"{name}: the inertia comes out as {found.slope:.2g} times the model's: {why}"
         )
 
 
@@ -325,7 +328,7 @@ def _own_number(model: Model, joint: int, slope: float) -> str:
     key = "mass" if model.joint_kind(joint) == "linear" else "inertia"
     value = mechanism_value(model, key, joint)
     number = f" ({value:.4g}; {slope * value:.2g} would)" if value else ""
-    return (
+    return thousandfold(slope, command_unit(model, joint - 1)) or (
         f"the model's {key}{number} does not go with the recording; or the position is on the other"
         " side of a gear than the command, or the command in another unit ([actuator] gain)"
     )
