@@ -362,6 +362,7 @@ def test_the_error_of_a_joint_is_compared_with_its_own_noise_floor(coarse: Diagn
     other = replace(coarse, noise_floor=1e-3 * coarse.noise_floor)
     assert _of(other, "fit").panels[1].level == (coarse.noise_floor, "noise floor")
     assert figures.SENSOR_LEFT in _of(other, "white").note
+    assert "model errs by" in _of(other, "white").note, "whiteness tells no size"
 
 
 @pytest.mark.long("test_two_sensors.py finds the spring; lost: the figure of its torsion")

@@ -244,8 +244,8 @@ def finding_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
     return replace(chart, section="law", caption=finding.sentence, name=name, finding=index)
 
 
-def white_chart(w: Workings, two: Sides, joint: int) -> Chart:
-    """Are the improved model's one-step errors white?"""
+def white_chart(w: Workings, two: Sides, joint: int, unit: str) -> Chart:
+    """Are the improved model's one-step errors white? ``unit``: of the joint's position."""
     record = w.test.records[0][joint - 1]
     bound = float(1.96 / np.sqrt(record.n))
     series, outside, left = [], [], ""
@@ -259,7 +259,12 @@ def white_chart(w: Workings, two: Sides, joint: int) -> Chart:
         series.append(Series("line", role, lag, alike, label))
         outside.append(f"{label} {100 * float(np.mean(np.abs(alike) > bound)):.0f} %")
         error = float(np.sqrt(np.mean(window_error(w.test, model, joint) ** 2)))
-        left = SENSOR_LEFT if error < SENSOR_ONLY * noise_floor(w.test, joint) else ""
+        floor = noise_floor(w.test, joint)
+        left = (
+            f" How large it is no curve says: over a window the {label} model errs by {error:.2g}"
+            f" {unit}, the sensor alone by {floor:.2g}."
+        )
+        left += SENSOR_LEFT if error < SENSOR_ONLY * floor else ""
     return Chart(
         "white",
         f"Joint {joint}: whiteness",
@@ -341,6 +346,7 @@ def _charts(d: Diagnosis) -> list[Chart]:
     for j in joints:
         two = sides(d.findings, kernel_model(d.given), w.whole, j)
         curve = None if d.findings else unclaimed_chart(d, j)
-        for chart in (curve, torque_chart(d, two, j), map_chart(d, j), white_chart(w, two, j)):
+        for chart in (curve, torque_chart(d, two, j), map_chart(d, j)):
             out += [chart] if chart else []
+        out.append(white_chart(w, two, j, units_at(d, j)["position"]))
     return out
