@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 # Control characters but tab and newline, and those that turn the direction of reading.
@@ -128,6 +128,18 @@ def counted(number: int, noun: str) -> str:
     ('1 joint', '7 joints')
     """
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def enumerated(words: Iterable[str], last: str = "and") -> str:
+    """Words in a row: commas between them, and ``last`` before the last one.
+
+    Examples
+    --------
+    >>> enumerated(["a"]), enumerated(["a", "b"]), enumerated(["a", "b", "c"], "or")
+    ('a', 'a and b', 'a, b or c')
+    """
+    *first, end = words
+    return f"{', '.join(first)} {last} {end}" if first else end
 
 
 def number_hint(text: str) -> str:

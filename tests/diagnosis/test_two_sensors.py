@@ -282,8 +282,8 @@ def test_of_every_column_that_is_named_it_is_said_how_it_is_used_or_that_it_is_n
     read = read_signals(recording(made), given)
     assert used_columns([read], given) == [
         "reference was used to check the position",
-        "current of joint 1 was used: it follows the command (3 times it), so there is no dead_zone"
-        " or saturation or voltage_limit, and none was tried",
+        "current of joint 1 was used: it follows the command (3 times it), so there is no"
+        " dead_zone, saturation or voltage_limit, and none was tried",
         f"temperature was used (20 to {20 + made['t'][-1]:.4g}): friction_temperature reads it",
         "torque_measured of joint 1 was used: it parts what acts before the sensor from what acts"
         " after it",

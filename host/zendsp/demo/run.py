@@ -84,13 +84,15 @@ def _write(told: Told, out: Path, teller: Narrator) -> list[Path]:
     from zendsp.demo.picture import draw
     from zendsp.diagnosis.report.files import write_report
 
+    again = ", in place of an earlier one (--out has another folder)"
+    earlier = again if (out / "report.html").is_file() else ""
     with teller.step("writing the report"):
         write_report(told.diagnosis, out)
         draw(told, out / "story.png")
     teller.chapter(
         "It is a true story" if told.true else "The story is not true: " + "; ".join(told.failures)
     )
-    teller.say(f"report  {out / 'report.html'}")
+    teller.say(f"report  {out / 'report.html'}{earlier}")
     teller.say(f"picture {out / 'story.png'}")
     return [
         out / name

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.columns import cutting
 from zendsp.diagnosis.data.signals import Signals
-from zendsp_protocol.texts import counted
+from zendsp_protocol.texts import counted, enumerated
 
 Array = npt.NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def hung(found: Sequence[Hung], least: float) -> str:
     ranges: dict[str, list[str]] = {}
     for h in found:
         ranges.setdefault(h.signals.name, []).extend(_ranges(h))
-    cut = " and ".join(
+    cut = enumerated(
         cutting(name, "--without", ",".join(each), "-o", f"{Path(name).stem}-part.csv")
         for name, each in ranges.items()
     )

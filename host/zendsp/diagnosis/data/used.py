@@ -12,6 +12,7 @@ from zendsp.diagnosis.data.sensors import SENSED
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.physics.effects import library
 from zendsp.physics.model import Model
+from zendsp_protocol.texts import enumerated
 
 Array = npt.NDArray[np.float64]
 MAIN = ("time", "position", "command")  # of which no note is needed
@@ -74,7 +75,7 @@ def _reference(signals: Sequence[Signals]) -> str:
 def _read_by_effects(role: str, each: Sequence[Array], model: Model) -> str:
     """The note on a column that laws read."""
     readers = [e.name for e in library().values() if role in e.reads]
-    by = f"{' and '.join(readers)} read{'s' if len(readers) == 1 else ''} it"
+    by = f"{enumerated(readers)} read{'s' if len(readers) == 1 else ''} it"
     low, high = min(float(v.min()) for v in each), max(float(v.max()) for v in each)
     if low == high and not any(t.effect in readers for t in model.terms):
         return f"{role} was not used: it is constant ({high:.4g}), and only {by}"
@@ -95,7 +96,7 @@ def _follows(signals: Sequence[Signals], joints: npt.NDArray[np.intp]) -> str:
     shown = [effect.name for effect in library().values() if "current" in effect.shown_by]
     return (
         f"it follows the command ({', '.join(factors)} times it), so there is no"
-        f" {' or '.join(shown)}, and none was tried"
+        f" {enumerated(shown, 'or')}, and none was tried"
     )
 
 

@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import NotRequired, TypedDict
 
 from zendsp.physics.effects import get_effect
+from zendsp_protocol.texts import enumerated
 
 # times the sensor's error: a complete model that errs more says what it leaves, as 22 of 99 in a
 # campaign did (seed 229); and a part of a joint's torque: less is not worth a sentence
@@ -352,8 +353,8 @@ def listed(joints: Iterable[int]) -> str:
     >>> listed([3]), listed([3, 1, 2])
     ('joint 3', 'joints 1, 2 and 3')
     """
-    *first, last = map(str, sorted(joints))
-    return f"joints {', '.join(first)} and {last}" if first else f"joint {last}"
+    numbers = sorted(joints)
+    return f"joint{'s' * (len(numbers) > 1)} {enumerated(map(str, numbers))}"
 
 
 def two_digits(value: float) -> str:

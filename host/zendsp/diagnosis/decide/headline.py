@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from zendsp.diagnosis.decide.contract import WORDS, Verdict, listed, two_digits
 from zendsp.diagnosis.decide.thresholds import STATED_BESIDE
 from zendsp.diagnosis.measure.discrepancy import BANDS
+from zendsp_protocol.texts import enumerated
 
 SMALLEST_SHARE = 1e-4  # of a torque: less cannot be told from zero
 LARGEST_SHARE = 9.99
@@ -109,7 +110,7 @@ def verdict_sentence(
             " no physics is claimed."
         )
     if verdict == Verdict.COMPLETE and left:
-        shares = " and ".join(f"{percent(share)} of the torque of joint {j}" for j, share in left)
+        shares = enumerated(f"{percent(share)} of the torque of joint {j}" for j, share in left)
         return (
             "Complete: no known effect is missing that these recordings could show. What is left is"
             f" more than the error of the sensor and has no name: {shares}."
@@ -172,7 +173,7 @@ def _places(found: Sequence[Said], confidence: bool) -> str:
 
 
 def _at(laws: Sequence[tuple[str, int]]) -> str:
-    return " and ".join(f"{effect} at joint {joint}" for effect, joint in laws)
+    return enumerated(f"{effect} at joint {joint}" for effect, joint in laws)
 
 
 def percent(share: float) -> str:

@@ -31,6 +31,7 @@ from zendsp.diagnosis.measure.where import units
 from zendsp.diagnosis.measure.windows import least_error, model_error, mostly_below, seconds_of
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import TREES, Model, Term, per_joint
+from zendsp_protocol.texts import enumerated
 
 # ratio of errors, calibrated over given, above which calibration is said to make it worse: 3 of 240
 # cases (seed 109) reached it, each with something missing, and none of 99 complete models
@@ -296,7 +297,7 @@ def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> 
     if not others or given.kind in ("rotary", "linear"):  # whose joints do not act on each other
         return ""
     return (
-        f". The link behind joint {' and '.join(others)} moves otherwise than its motor does, and"
+        f". The link behind joint {enumerated(others)} moves otherwise than its motor does, and"
         " this joint bears its torque: the model takes the motor's motion for the link's"
     )
 

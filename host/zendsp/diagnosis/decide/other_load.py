@@ -29,6 +29,7 @@ from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.effects import unit_of
 from zendsp.physics.model import Model
+from zendsp_protocol.texts import enumerated
 
 # most that is stated of a load, as of a fast ripple: eight were right; one was a friction that
 # varies with the position, and left two fifths of the missing torque's energy
@@ -76,7 +77,7 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
     if not any(_is_other(*(numbers[key] for numbers in both)) for key in keys):
         return None
     body, text = _body(given, *both)
-    where = " and ".join(sorted(loaded))
+    where = enumerated(sorted(loaded))
     effect = "payload" if "mass" in body else "inertia"
     finding = Finding(
         effect,
@@ -153,12 +154,12 @@ def of_one_recording(
 
 def of_load(findings: Sequence[Finding]) -> list[str]:
     """Notes on the models where recordings have another load."""
-    loaded = [" and ".join(f.numbers["recordings"]) for f in findings]
+    loaded = [enumerated(f.numbers["recordings"]) for f in findings]
     if not loaded:
         return []
     if findings[0].is_elsewhere:
         return [
-            f"{' and '.join(loaded)}: the calibrated and the improved model carry no load of"
+            f"{enumerated(loaded)}: the calibrated and the improved model carry no load of"
             " these recordings, and all else that is said here is of the others"
         ]
     return [
@@ -192,7 +193,7 @@ def _body(
     """
     more = {key: now[key].value - before[key].value for key in now}
     std = {key: math.hypot(now[key].std, before[key].std) for key in now}
-    text = " and ".join(
+    text = enumerated(
         f"{key} {number(now[key])} instead of {number(before[key])}" for key in now
     )
     (inertia,) = (key for key in now if key != "gravity")

@@ -31,6 +31,7 @@ from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
+from zendsp_protocol.texts import enumerated
 
 Three = tuple[list[Signals], list[Signals], list[Signals]]
 
@@ -161,7 +162,7 @@ def with_other_zeros(found: Found, every: Mapping[str, Data], jobs: int) -> Foun
     if not zeros:
         return None
     own = by_recording(found.parts, decision.final.model, decision.joint)
-    those = " and ".join(n for n in own if n not in every)
+    those = enumerated(n for n in own if n not in every)
     said = of_zeros(zeros, those, decision.final, decision.joint)
     return replace(found, decisions=[replace(decision, differs=said)])
 

@@ -25,7 +25,7 @@ from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
 from zendsp.recording.units import ENCODER
-from zendsp_protocol.texts import shown
+from zendsp_protocol.texts import enumerated, shown
 
 TURN = 2.0 * np.pi  # rad
 COUNTS_A_TURN = 4096  # of an encoder of which nothing is known
@@ -286,16 +286,16 @@ def _which_command(command: Group, rivals: Sequence[Group], measured: Group | No
     measured. Empty where nothing speaks for another.
     """
     others = [g for g in rivals if g is not command and _apart(g, command) > SAME]
-    taken = " and ".join(command.names)
+    taken = enumerated(command.names)
     asked = f"is {taken} all that the drive was told, every compensation included?"
     if others:
         names = " or ".join(
-            f"{' and '.join(g.names)} ({_apart(g, command):.0%} apart)" for g in others
+            f"{enumerated(g.names)} ({_apart(g, command):.0%} apart)" for g in others
         )
         return f"{asked} Or else {names}: then write that one here"
     if measured is not None and (apart := _apart(measured, command)) > ALIKE:
         return (
-            f"{asked} {' and '.join(measured.names)} is {apart:.0%} apart from it. Where something"
+            f"{asked} {enumerated(measured.names)} is {apart:.0%} apart from it. Where something"
             " was added to it later, write the sum here, or the measured one"
         )
     return ""

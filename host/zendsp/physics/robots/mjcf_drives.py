@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from zendsp.errors import ModelError
 from zendsp.physics.robots.mjcf import Mjcf, actuators_of, library, name_of, place_of
+from zendsp_protocol.texts import enumerated
 
 Array = npt.NDArray[np.float64]
 Range = tuple[float, float]
@@ -98,7 +99,7 @@ def _drive(m: Any, joint: int, path: str) -> Drive | None:
         return None
     way_out = "or state [actuator] gain: the command column is then gain times a torque"
     if len(found) > 1:
-        names = " and ".join(name_of(m, "actuator", a) for a in found)
+        names = enumerated(name_of(m, "actuator", a) for a in found)
         raise ModelError(
             f"{path}: {names} drive {place_of(m, joint)}: a recording has one command for each"
             f" joint; leave one of them, {way_out}"
