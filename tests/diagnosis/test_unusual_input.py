@@ -12,6 +12,7 @@ import pytest
 import reality
 from acceptance import accepted
 from reality import KNOWN, RATE
+from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_motion, check_signals
@@ -167,6 +168,20 @@ def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(too
         looked_at(angles, command * [1.0, -1.0])
     with pytest.raises(RecordingError, match="different runs"):
         looked_at(angles, np.stack([command[:, 0], run(0.0, seed=6)[1][:, 1]], axis=1))
+
+
+def test_a_chirp_through_the_resonance_of_a_soft_shaft_is_of_one_run() -> None:
+    """A shaft of 9 Hz, driven up to 18, was "of different runs", even with its spring given."""
+    rate, seconds = 500.0, 16.0
+    t = np.arange(0.0, seconds, 1.0 / rate)
+    sweep = 1.5 * np.sin(2.0 * np.pi * (0.2 * t + (18.0 - 0.2) * t**2 / 2.0 / seconds))
+    machine = reality.Machine(soft=30.0, load=0.006, kp=3.0, kd=0.05, limit=10.0)
+    columns = reality.simulate(machine, sweep, rate)
+    model = model_of(VISCOUS, COULOMB, rate=rate)
+    check_driven(["run"], data_of(columns, model, rate).records[0], model)
+    other = {**columns, "u": np.roll(columns["u"], 1234)}
+    with pytest.raises(RecordingError, match="different runs"):
+        check_driven(["run"], data_of(other, model, rate).records[0], model)
 
 
 def test_a_joint_with_hardly_any_torque_is_not_taken_to_be_in_degrees() -> None:

@@ -17,7 +17,15 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.carried import is_carried, is_tool
 from zendsp.diagnosis.data.order import check_order
-from zendsp.diagnosis.data.regression import TURNS, Regression, Slow, look, regress, rigid_body
+from zendsp.diagnosis.data.regression import (
+    CUTOFFS_HZ,
+    TURNS,
+    Regression,
+    Slow,
+    look,
+    regress,
+    rigid_body,
+)
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import (
     JointRecord,
@@ -168,6 +176,7 @@ def check_driven(
             own = _own_number(model, i + 1, found.slope) if stated else ""
             likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "", own)
             _undo(name, found, likely, period, model, i)
+            _belong(name, found, here, period, model, i)
             _geared(name, found, model.kind in TREES, command_unit(model, i))
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
 
@@ -390,14 +399,28 @@ def _undo(
                 f"{name}: the model's inertia comes out as {found.slope:.2g} of what it should be:"
                 f" {words}"
             )
+
+
+def _belong(
+    name: str, found: Regression, here: _Looked, period: float, model: Model, i: int
+) -> None:
+    """Refuse a command that does not produce the motion. Where it does so at low frequencies, the
+    columns belong together, and something flexible moves at higher ones.
+    """
     # an inertia far from the model's dominates the motion: no added physics could explain it
     hidden = found.slope + ERRORS * found.error < NONE
-    if hidden and found.share > INERTIAL_SHARE and found.r2 < HALF:
-        raise RecordingError(
-            f"{name}: the command does not produce this motion (it explains"
-            f" {100 * max(found.r2, 0.0):.0f} % of it, and the model's inertia does not show): are"
-            " the columns of different runs, joints or units?"
-        )
+    if not hidden or found.share <= INERTIAL_SHARE or found.r2 >= HALF:
+        return
+    for cutoff in CUTOFFS_HZ[1:]:
+        slow = look(here.y, here.u, period, here.noise, (cutoff,))
+        low = regress(slow, model, i + 1, rigid_body(slow, model))
+        if low is not None and low.r2 > SOUND and RIGHT[0] < low.slope < RIGHT[1]:
+            return
+    raise RecordingError(
+        f"{name}: the command does not produce this motion (it explains"
+        f" {100 * max(found.r2, 0.0):.0f} % of it, and the model's inertia does not show): are the"
+        " columns of different runs, joints or units?"
+    )
 
 
 def check_free(

@@ -72,7 +72,13 @@ class Regression:
     held: bool
 
 
-def look(positions: Array, commands: Array, sample_time: float, noise: Array) -> Slow:
+def look(
+    positions: Array,
+    commands: Array,
+    sample_time: float,
+    noise: Array,
+    cutoffs: Sequence[float] = CUTOFFS_HZ,
+) -> Slow:
     """Motion and commands below a cutoff, thinned.
 
     Parameters
@@ -84,9 +90,11 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
     noise : ndarray, shape (joints,)
         Standard deviation of the position's noise, rad or m: the cutoff falls until its share of
         the acceleration does not matter.
+    cutoffs : sequence of float
+        Hz, falling.
     """
     nyquist = 0.5 / sample_time
-    for cutoff in CUTOFFS_HZ:
+    for cutoff in cutoffs:
         cutoff = min(cutoff, 0.4 * nyquist)
         # samples: half the amplitude is left at the cutoff
         width = math.sqrt(2 * math.log(2)) / (2 * np.pi * cutoff * sample_time)
