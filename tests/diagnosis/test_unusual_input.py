@@ -16,6 +16,7 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_motion, check_signals
+from zendsp.diagnosis.data.inertia import with_its_scale
 from zendsp.diagnosis.data.plausibility import DRIVES, check_driven
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
@@ -317,6 +318,7 @@ def test_a_joint_without_a_drive_is_accepted_beside_a_driven_one(
     monkeypatch.setattr(checks, "check_driven", lambda where, *_, signs: seen.extend(where))
     monkeypatch.setattr(checks, "check_caused", lambda *_: None)
     motion = SimpleNamespace(states=np.zeros((3, 9)))
+    monkeypatch.setattr(checks, "_let_go", lambda _: False)
     pushed, silent = (
         SimpleNamespace(command=c, motion=motion, recording="run")
         for c in (np.sin(np.arange(9.0)), np.zeros(9))
@@ -330,6 +332,33 @@ def test_a_joint_without_a_drive_is_accepted_beside_a_driven_one(
     pole: Any = SimpleNamespace(records=[[silent, silent]])
     with pytest.raises(RecordingError, match="zero throughout"):
         check_motion(pole, model, ["run"])
+
+
+@pytest.mark.parametrize(
+    ("speed", "free"),
+    [
+        (lambda t: np.exp(-0.3 * t) * np.sin(5.0 * t), True),  # a pendulum
+        (lambda t: 8.0 - t, True),  # a wheel that was turned
+        (lambda t: np.sin(4.0 * t) * np.minimum(t, 2.0), False),
+        (lambda t: 1.0 + t, False),
+    ],
+)
+def test_a_command_of_zeros_is_taken_for_none_where_the_joint_moves_as_one_that_was_let_go(
+    speed: Callable[[np.ndarray], np.ndarray], free: bool
+) -> None:
+    """Free decays with a logged command of 0 were refused."""
+    t = np.arange(0.0, 6.0, 0.005)
+    motion = SimpleNamespace(states=np.stack([t, speed(t), t]))
+    assert checks._let_go(SimpleNamespace(motion=motion)) is free  # type: ignore[arg-type]
+
+
+def test_the_inertia_of_what_nothing_drives_is_held_and_its_scale_said() -> None:
+    """Free, it drifted: a Coulomb friction was unknown, and a complete pendulum not told."""
+    given = model_of(VISCOUS)
+    held, notes = with_its_scale(given, [1])
+    assert not held.mechanism["inertia"][0].free and "only ratios to its inertia" in notes[0]
+    assert with_its_scale(given, []) == (given, [])
+    assert with_its_scale(held, [1]) == (held, [])
 
 
 @pytest.mark.parametrize(("second", "told"), [(0.0, False), (0.3, True)])

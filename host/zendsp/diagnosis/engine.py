@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_given, check_motion
 from zendsp.diagnosis.data.columns import cutting
+from zendsp.diagnosis.data.inertia import with_its_scale
 from zendsp.diagnosis.data.inputs import Given, Recorded, model_of, sources_of
 from zendsp.diagnosis.data.prepare import at_their_poses, of_one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
@@ -221,7 +222,7 @@ def _with_zeros_given(
     begin = time.perf_counter()
     given = kernel_model(given_file)
     signals, parts, notes = _ready(*sources, given, tell)
-    given = at_their_poses(given, parts.fit)
+    given, scale = with_its_scale(at_their_poses(given, parts.fit), parts.undriven)
     found, stopped = _found(signals, parts, given, jobs, tell, so_far)
     found, clocks = _by_one_clock(found)
     found, findings, refinements, rejected = _name(found, given)
@@ -243,7 +244,7 @@ def _with_zeros_given(
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
     places, times, at = where_and_when(lacking, decisions, findings, verdict, bool(found.claims))
     alone = unseen(parts, found.bodies.model, decisions := looked.decisions)
-    notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]
+    notes = [*stopped, *notes, *scale, *(note for m in found.measured for note in m.notes)]
     seen = (*looked.seen, *(d for m in found.measured for d in m.detectable), *alone)
     own, *others = errors_of(parts, (given, whole.calibrated, improved))
     notes += [*said(alone), *notes_of(decisions, given), *repeated(decisions, parts), *clocks]

@@ -17,6 +17,7 @@ from zendsp.diagnosis.data.series import stretches
 from zendsp.diagnosis.data.signals import Signals, unused_effects
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.effects import mechanism_of
 from zendsp.physics.kernel.signals import noise_beside_quantisation
 from zendsp.physics.model import Model, per_joint
@@ -43,6 +44,8 @@ UNIT_FACTOR = (0.7, 1.4)  # times a factor between units: its tolerance
 IMMOVABLE = 30.0
 LATE_ROWS = 100  # of a recording: a longer delay or hold is noted; chosen, for ms taken for s
 OTHER_UNITS = 10  # times the actuator's limit, and most of the time beyond it
+# of the largest speed: a slower swing may be noise. Of the one before: a faster one was driven
+SWINGS = 0.05
 MILLI = 1000.0  # times a unit: a command in milli-units is this many times larger
 TOO_LARGE = 1.001  # of the actuator's limit: more than rounding
 AT_TOP = 0.999  # of the largest command: at it
@@ -355,11 +358,13 @@ def check_motion(
         driven = False
         for place, record in zip(where, rec, strict=True):
             if not np.any(record.command):
-                if model.columns.get("command") and not any(np.any(r.command) for r in rec):
+                named = model.columns.get("command")
+                if named and not any(np.any(r.command) or _let_go(r) for r in rec):
                     raise RecordingError(
-                        f"{place}: the command is zero throughout; a machine that is not driven has"
-                        " no command column in [columns]; one among others that are driven is"
-                        " to be left out"
+                        f"{place}: the command is zero throughout, and the joint does not move as"
+                        " one that was let go, whose swings get slower: was the drive's command"
+                        " logged? A machine that is moved by hand has no command column in"
+                        " [columns]"
                     )
             elif float(np.ptp(record.command)) > 0:
                 driven = True
@@ -375,6 +380,19 @@ def check_motion(
             check_caused(where, rec, model)
         else:
             check_free(where, rec, model, rec[0].recording in stated)
+
+
+def _let_go(record: JointRecord) -> bool:
+    """Whether a joint moves as one that was let go: no swing is faster than the one before it to
+    the same side.
+    """
+    speed = record.motion.states[1]
+    least = SWINGS * float(np.max(np.abs(speed)))
+    swings = np.split(speed, np.flatnonzero(np.diff(np.sign(speed)) != 0) + 1)
+    peaks = [peak for swing in swings if (peak := float(np.max(np.abs(swing)))) > least]
+    fastest = int(np.argmax(np.abs(speed)))
+    slows = fastest < len(speed) // 2
+    return slows and all(b < (1.0 + SWINGS) * a for a, b in zip(peaks, peaks[2:], strict=False))
 
 
 def check_given(data: Data, model: Model) -> list[str]:

@@ -12,6 +12,7 @@ columns absorb a part, so it is also estimated without them. The range holds all
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +41,22 @@ def own_key(model: Model, joint: int) -> str:
     """
     keys = OWN.get(model.kind)
     return f"inertia {joint}" if keys is None else keys[min(joint, len(keys)) - 1]
+
+
+def with_its_scale(model: Model, undriven: Sequence[int]) -> tuple[Model, list[str]]:
+    """The model of a single joint with its inertia held where nothing drives it, and a note: no
+    motion tells it then, and all torques are ratios to it.
+    """
+    keys = OWN.get(model.kind, ())
+    items = model.mechanism.get(keys[0], ()) if keys else ()
+    if model.joints > 1 or not undriven or not any(item.free for item in items):
+        return model, []
+    held = tuple(replace(item, free=False) for item in items)
+    note = (
+        f"nothing drives it, so that only ratios to its {keys[0]} show: that is held at"
+        f" {items[0].value:.4g}, and every other number is off by as much as it is"
+    )
+    return replace(model, mechanism={**model.mechanism, keys[0]: held}), [note]
 
 
 def inertia_ranges(
