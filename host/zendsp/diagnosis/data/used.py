@@ -91,7 +91,8 @@ def _follows(signals: Sequence[Signals], joints: npt.NDArray[np.intp]) -> str:
         having = [s for s in signals if "current" in s.extra]
         told = [(s.extra["current"][:, j], s.command[:, j]) for s in having]
         whole = [(x - x.mean(), u - u.mean()) for x, u in told if np.isfinite(x).all()]
-        slope = sum(float(x @ u) for x, u in whole) / sum(float(u @ u) for _, u in whole)
+        power = max(sum(float(u @ u) for _, u in whole), 1e-300)
+        slope = sum(float(x @ u) for x, u in whole) / power
         factors.append(f"{slope:.3g}")
     shown = [effect.name for effect in library().values() if "current" in effect.shown_by]
     return (

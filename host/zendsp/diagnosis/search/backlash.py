@@ -43,7 +43,10 @@ PROGRESS = 50.0  # deviance: a round that gains less has led nowhere
 # standard deviations of logarithms to begin with: a basin spans a factor of three in the gap, of
 # sixteen in the stiffness, 12 % in the inertia. The losses are those of a contact at critical
 # damping, which goes with the root of the stiffness
-SPREAD = {"gap": 0.25, "stiffness": 1.0, "damping": 0.6, "load_inertia": 0.15, "inertia": 0.03}
+SPREAD = {
+    "gap": 0.25, "stiffness": 1.0, "damping": 0.6, "load_inertia": 0.15, "inertia": 0.03,
+    "mass": 0.03,
+}  # fmt: skip
 CALIBRATED = 0.05  # of numbers that a gap moves little
 NARROWER = (1.0, 0.3, 0.1)  # times these, one after the other: a start may lie in a narrow valley
 # slower observers in a row without a gain, after which none gained in the cases examined
