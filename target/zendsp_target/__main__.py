@@ -269,11 +269,9 @@ def _monitor(
         raise
 
 
-def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
-    name = args.name or machine_title(args.machine)
-    with _patience(f"zendsp target: starting {args.machine}; one that is new is compiled first …"):
-        runtime, monitor, asked = _monitor(args, name, listen, security)
-    if os.getuid() == 0:  # said of one that runs: where it does not start, why comes first
+def _say_what_is_left(name: str, runtime: Runtime) -> None:
+    """What is said of a target that runs: where it does not start, why comes first."""
+    if os.getuid() == 0:
         print(AS_ROOT, file=sys.stderr, flush=True)
     kept, dropped = runtime.left_behind
     for note in kept:
@@ -282,7 +280,14 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     for note in dropped:
         print(DROPPED.format(name=note.about.target), file=sys.stderr)
 
+
+def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
+    name = args.name or machine_title(args.machine)
+    with _patience(f"zendsp target: starting {args.machine}; one that is new is compiled first …"):
+        runtime, monitor, asked = _monitor(args, name, listen, security)
+
     def announce() -> None:
+        _say_what_is_left(name, runtime)
         where = ", ".join(monitor.endpoints)
         text = f"target {name} listens on {where}; Ctrl-C ends it"
         if runtime.title and not args.json:
@@ -307,20 +312,22 @@ def leave(status: int) -> NoReturn:
     ("exception not rethrown"), and a clean end would look like a crash.
     """
     end_compilers()  # of a thread that waits for one
-    sys.stdout.flush()
-    sys.stderr.flush()
+    with contextlib.suppress(OSError):  # nobody may be there to read it
+        sys.stdout.flush()
+        sys.stderr.flush()
     os._exit(status)
 
 
 if __name__ == "__main__":
+    status = 1
     try:
         status = main()
     except SystemExit as end:  # argparse
         status = end.code if isinstance(end.code, int) else 2
     except KeyboardInterrupt:
-        print("zendsp target: interrupted before it was ready", file=sys.stderr)
         status = 130
+        print("zendsp target: interrupted before it was ready", file=sys.stderr)
     except Exception:
         traceback.print_exc()
-        status = 1
-    leave(status)  # threads of a server that did not come to be would keep the process
+    finally:  # also where what was to be said could not be, since nobody reads it any more:
+        leave(status)  # threads of a server that did not come to be would keep the process

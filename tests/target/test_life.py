@@ -109,6 +109,25 @@ def test_a_target_that_is_ended_before_it_is_ready_says_so_in_a_line() -> None:
     assert said == "zendsp target: interrupted before it was ready\n"
 
 
+def test_a_target_that_nobody_reads_any_more_ends_and_leaves_nothing(tmp_path: Path) -> None:
+    """Killed while its target began, a host left one that served on, and that no signal ended: what
+    it had to say first found no reader, and so did its last words.
+    """
+    tmp_path.chmod(0o700)
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--name", "unread"]
+    process = subprocess.Popen(
+        words, env={**os.environ, "ZENDSP_RUNTIME_DIR": str(tmp_path)}, stdout=writer, stderr=writer
+    )
+    os.close(writer)
+    try:
+        assert process.wait(PATIENCE_S) in (1, 2)
+    finally:
+        process.kill()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_program_that_is_replaced_lets_go_of_its_files_at_once(
     make_runtime: Make, load: Callable[[Runtime, str], None], wait_for: Callable[..., None]
 ) -> None:
