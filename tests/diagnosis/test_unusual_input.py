@@ -339,7 +339,7 @@ def test_a_joint_without_a_drive_is_accepted_beside_a_driven_one(
     [
         (lambda t: np.exp(-0.3 * t) * np.sin(5.0 * t), True),  # a pendulum
         (lambda t: 8.0 - t, True),  # a wheel that was turned
-        (lambda t: np.sin(4.0 * t) * np.minimum(t, 2.0), False),
+        (lambda t: np.sin(4.0 * t) * np.minimum(t, 2.0) * np.exp(-0.1 * t), False),
         (lambda t: 1.0 + t, False),
     ],
 )
