@@ -158,11 +158,13 @@ class Searcher:
         least = max(WORTH, LOOK_AHEAD * self.rounds.n)
         likely = [r for r in rivals if _gain(current, r) > least]
         bent = [*takewhile(lambda r: not self.accept(current, r, waits=True), likely)]
-        found = [(self._together(current, r), r) for r in bent]
-        for plain in likely[len(bent) : len(bent) + 1]:
-            ahead = self.rounds.glance(plain.scored, frozenset(r.effect for r in rivals[:GLANCE]))
-            worth = ahead < plain.scored.deviance - least
-            found.append((ahead + plain.price if worth else math.inf, plain))
+        seen = frozenset(r.effect for r in rivals[:GLANCE])
+        found: list[tuple[float, Rival]] = []
+        for k, first in enumerate(likely[: len(bent) + 1]):
+            ahead = self.rounds.glance(first.scored, seen)
+            if ahead < first.scored.deviance - least:
+                both = ahead + first.price
+                found.append((self._together(current, first) if k < len(bent) else both, first))
         total, best = min(found, key=lambda pair: pair[0], default=(math.inf, None))
         return best if total < math.inf else None
 
