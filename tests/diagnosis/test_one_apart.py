@@ -19,7 +19,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.own_numbers import by_recording, of_numbers, other_zeros, own_of_one
 from zendsp.diagnosis.decide.pushes import fitted_to
-from zendsp.diagnosis.explain import undisturbed
+from zendsp.diagnosis.explain import one_apart, undisturbed
 from zendsp.diagnosis.explain.machine import Found
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.physics.calibration.fit import Data
@@ -153,6 +153,27 @@ def test_a_law_is_found_where_each_recording_was_zeroed_elsewhere(tmp_path: Path
     d = diagnosed(tmp_path, (RIPPLED, 0.0), (RIPPLED, 0.3), (RIPPLED, -0.2))
     assert [f.effect for f in d.findings] == ["ripple"]
     assert sum("its own zero of the position" in n for n in d.notes) == 2
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "asked"), [("fluid_friction", False), ("position_torque", True)]
+)
+def test_no_recording_is_asked_alone_for_a_torque_that_no_place_changes(
+    mechanism: str, asked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of the time of EMPS went there, whose fluid friction is more than any law of it."""
+    model = rippled(tmp_path)
+    signals = [read_signals(made(tmp_path, name, RIPPLED, 1), model) for name in "abc"]
+    parts = Parts(*(prepare([s], model, 64.0) for s in signals))
+    claim: Any = SimpleNamespace(effect="unknown", mechanism=mechanism)
+    decision: Any = SimpleNamespace(kind=Verdict.MISSING, bursts=None, loads=(), claims=(claim,))
+    found: Any = SimpleNamespace(decisions=[decision], parts=parts)
+    alone: list[str] = []
+    monkeypatch.setattr(one_apart, "find_once", lambda *_: alone.append(mechanism))
+    monkeypatch.setattr(one_apart, "with_other_zeros", lambda *_: None)
+    every = [[s] for s in signals]
+    assert one_apart.by_one_alone(found, every, model, 1, lambda _: None) is found
+    assert bool(alone) is asked
 
 
 def test_the_load_of_one_recording_and_a_law_missing_in_all_are_both_named(

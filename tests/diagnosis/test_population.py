@@ -1,4 +1,4 @@
-"""A search by populations goes on where a fit has ended."""
+"""The rough cost of a gap: populations go on where a fit has ended."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.search.backlash import SPREAD
 from zendsp.diagnosis.search.population import likeliest
+from zendsp.diagnosis.search.rounds import Rounds
+from zendsp.diagnosis.search.screen import Candidate
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.handles import get_values
+from zendsp.physics.calibration.terms import make_term
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 GAP, LOAD, STIFFNESS = 0.0095, 0.0046, 120.0
@@ -59,3 +63,16 @@ def test_populations_say_the_same_each_time_and_leave_a_minimum_as_it_is(ended: 
     assert np.array_equal(get_values(first, handles), get_values(second, handles))
     least = fit_scored(ended.data, first, handles, (1,), jobs=1)
     assert _found(least.data, least.model) is least.model
+
+
+def test_a_gap_keeps_its_numbers_in_the_first_fit_of_another_law(ended: Scored) -> None:
+    """A cubic spring of nothing gained 760 by what it did to a gap, and a second round began."""
+    drag = make_term(get_effect("quadratic_drag"), 1, {"coefficient": 1e-5})
+    candidate = Candidate("quadratic_drag", 1, (drag,), (), 1.0)
+    rounds = Rounds(ended.data, 1, 1, lambda _: None)
+    tried = rounds.short.quick(ended, [candidate])
+    assert tried is not None
+    fitted = {h.key for h in tried.scored.fit.handles}
+    assert {"coefficient", "level"} <= fitted and not fitted & {"gap", "stiffness", "load_inertia"}
+    whole = rounds._full(ended, tried, 0.0)
+    assert {"coefficient", "level", "gap", "stiffness"} <= {h.key for h in whole.scored.fit.handles}

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from zendsp.diagnosis.data.prepare import of_one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import halves, split
-from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Finding
 from zendsp.diagnosis.decide.other_load import of_one
@@ -30,6 +30,7 @@ from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 from zendsp_protocol.texts import enumerated
 
@@ -130,7 +131,8 @@ def by_one_alone(
     """
     decision = found.decisions[0]
     pushed = decision.kind is Verdict.DISTURBANCE or decision.bursts is not None
-    if pushed or decision.loads or not _is_open(decision) or not may_be_zeroed_elsewhere(given):
+    placed = _is_open(decision) and _may_lie_over_position(decision)
+    if pushed or decision.loads or not placed or not may_be_zeroed_elsewhere(given):
         return found
     every = by_recording(found.parts, given, 1)
     if len(every) < 2:
@@ -165,6 +167,15 @@ def with_other_zeros(found: Found, every: Mapping[str, Data], jobs: int) -> Foun
     those = enumerated(n for n in own if n not in every)
     said = of_zeros(zeros, those, decision.final, decision.joint)
     return replace(found, decisions=[replace(decision, differs=said)])
+
+
+def _may_lie_over_position(decision: Decision) -> bool:
+    """Whether what has no law may be a torque over the position: not where its mechanism is known
+    and is none, as fluid friction.
+    """
+    nameless = [c.mechanism for c in decision.claims if c.effect == "unknown"]
+    laws = [get_effect(e) for m in nameless for e in LAWS_OF.get(m, ())]
+    return not laws or any(law.over == "position" for law in laws)
 
 
 def _is_open(decision: Decision) -> bool:

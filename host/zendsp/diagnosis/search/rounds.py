@@ -422,13 +422,9 @@ class Rounds:
 
     def _full(self, current: Scored, rival: Rival, worth: float) -> Rival:
         jobs = self.jobs  # the longest of them ends alone
-        scored = fit_scored(
-            rival.scored.data,
-            rival.scored.model,
-            rival.scored.fit.handles,
-            (self.joint,),
-            jobs=jobs,
-        )
+        data, model = rival.scored.data, rival.scored.model
+        handles = joint_handles(data, model, self.joint)
+        scored = fit_scored(data, model, handles, (self.joint,), jobs=jobs)
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
         if get_effect(rival.effect).rough:
             options.append(refine(options[0], self.joint, current.deviance, worth, jobs))
@@ -437,12 +433,7 @@ class Rounds:
                 other = with_numbers(rival.scored.model, term.effect, self.joint, numbers)
                 options.append(
                     fit_scored(
-                        rival.scored.data,
-                        other,
-                        rival.scored.fit.handles,
-                        (self.joint,),
-                        jobs=jobs,
-                        rounds=2,
+                        data, other, handles, (self.joint,), jobs=jobs, rounds=2
                     )
                 )
         best = min(options, key=lambda s: s.deviance)

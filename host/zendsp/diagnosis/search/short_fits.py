@@ -121,7 +121,7 @@ class ShortFits:
         data = begin.data
         for candidate in group:
             model = with_candidate(begin.model, candidate)
-            handles = joint_handles(data, model, self.joint)
+            handles = self._handles(data, model, candidate)
             look = data if whole else first_look(data, model, self.joint)
             goal = self._goal(candidate, begin, look)
             result = self._short(look, model, handles, 3 if len(group) > 1 else 6, goal=goal)
@@ -136,6 +136,15 @@ class ShortFits:
             result = self._short(look, result.model, result.handles, 10 if rough else 5)
             value = deviance(here, result.model, (self.joint,))
         return candidate, result, value
+
+    def _handles(self, data: Data, model: Model, candidate: Candidate) -> list[Handle]:
+        """All numbers that the joint feels, but those of a gap beneath a hypothesis: while other
+        numbers are far off its rough cost leads it astray, and it takes most of the time.
+        """
+        beneath = model.terms[: len(model.terms) - len(candidate.terms)]
+        held = {k for k, t in enumerate(beneath) if get_effect(t.effect).rough}
+        handles = joint_handles(data, model, self.joint)
+        return [h for h in handles if h.place != "term" or h.index not in held]
 
     def _goal(self, candidate: Candidate, begin: Scored, look: Data) -> float:
         """The sum of squares from which on a hypothesis upon some numbers is examined. Of one that
@@ -160,7 +169,7 @@ class ShortFits:
         goal = cost_of(current.data, self.joint, min(value, current.deviance))
         for terms in (result.model.terms[-len(candidate.terms) :], candidate.terms):
             model = with_candidate(current.model, replace(candidate, terms=terms))
-            handles = joint_handles(current.data, model, self.joint)
+            handles = self._handles(current.data, model, candidate)
             other = self._short(current.data, model, handles, UPON, goal=goal)
             again = deviance(current.data, other.model, (self.joint,))
             best = (other, again) if again < best[1] else best
