@@ -348,7 +348,9 @@ def test_off_is_told_when_the_drives_are_off(target: Target) -> None:
         target.enable()
         target.start()
         until(lambda: target.status().io["aout"][0] != 0.0, "it commands")  # type: ignore[index]
-        assert switch() in ("disabled", "power off")
+        what, rest = switch().split("; ")
+        assert what in ("disabled", "power off")
+        assert rest == "the program runs on and moves nothing: pause it before you enable again"
         assert target.status().drive_mode == "off"
         target.pause()
     target.power_on()

@@ -93,7 +93,8 @@ def test_power_off_and_disable_are_read_at_once(desk: Desk) -> None:
     desk.ask("drive", action="enable", mode="torque")
     desk.ask("start") if runs else None
     for action in ("disable", "power_off"):
-        desk.ask("drive", action=action)
+        said = desk.ask("drive", action=action).text
+        assert ("pause it before you enable again" in said) is runs
         assert desk.ask("status").drive_mode == "off"
         assert desk.ask("drive_status").mode == "off"
         assert desk.ask("read", names=["drive"]).values == {"drive": 0.0}

@@ -385,7 +385,7 @@ class Drives:
 
     def _off_and_look(self) -> str:
         """Switch the drives off and wait for a short soft stop; return a sentence where they are
-        not off after it.
+        not off after it, or where a program runs on without them.
         """
         self._off()
         deadline = time.monotonic() + OFF_S
@@ -397,7 +397,11 @@ class Drives:
             if time.monotonic() > deadline:
                 return f"; the soft stop of {self._ramp_s:g} s goes on"
             time.sleep(0.005)
-        return f"; {status.unsafe}" if status.unsafe else ""
+        if status.unsafe:
+            return f"; {status.unsafe}"
+        if status.state == ProgramState.RUNNING:
+            return "; the program runs on and moves nothing: pause it before you enable again"
+        return ""
 
     # -- before and after the other verbs
 
