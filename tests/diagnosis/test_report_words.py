@@ -58,11 +58,14 @@ def test_the_unit_of_a_pure_number_is_not_read_out() -> None:
 
 
 def test_a_refinement_beneath_a_finding_is_not_said_to_be_for_the_fit_alone() -> None:
-    """Coulomb friction, to which a Stribeck curve falls, stood there as the others."""
-    falls, dry, wave = (
-        Finding(name, 1, {}, 0.9, 1.0, (), (), "") for name in ("stribeck", "coulomb", "ripple")
+    """Coulomb friction, to which a Stribeck curve falls, stood there as the others. What has no law
+    stands on nothing: it ended the summary as an effect that is not known.
+    """
+    falls, dry, wave, push, nameless = (
+        Finding(name, 1, {}, 0.9, 1.0, (), (), "")
+        for name in ("stribeck", "coulomb", "ripple", "disturbance", "unknown")
     )
-    d: Any = SimpleNamespace(findings=(falls,), refinements=(dry, wave))
+    d: Any = SimpleNamespace(findings=(push, nameless, falls), refinements=(dry, wave))
     assert _refinement(dry, d) == "coulomb (joint 1, beneath stribeck)"
     assert _refinement(wave, d) == "ripple (joint 1)"
 

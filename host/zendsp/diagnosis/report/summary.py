@@ -79,11 +79,12 @@ def standing(d: Diagnosis) -> list[tuple[Finding, str]]:
     """The refinements without which a finding would not be, each with the name of that: the dry
     friction beneath a Stribeck curve.
     """
+    named = [(f, library()[f.effect]) for f in d.findings if f.effect in library()]
     return [
         (f, found.effect)
         for f in d.refinements
-        for found in d.findings
-        if found.joint == f.joint and stands_on(get_effect(found.effect), f.effect)
+        for found, law in named
+        if found.joint == f.joint and stands_on(law, f.effect)
     ]
 
 
