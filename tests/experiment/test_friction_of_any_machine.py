@@ -463,7 +463,8 @@ def test_a_joint_that_does_not_move_is_refused_with_its_limit_and_what_to_do(
 
 def test_what_leaves_no_speed_for_a_push_is_named_with_its_value() -> None:
     axis = with_pushes(axis_of(1, JOINT, 0.0, Load(0.1, sin=11.0), 1.5, 0.5))
-    assert re.search(r"torque_max of 30 N m, beside a weight of up to 11 .*0 rad/s", _unfit(axis))
+    said = r"torque_max of 30 N m, of which 40% may push it, less a weight of up to 11 .*0 rad/s"
+    assert re.search(said, _unfit(axis))
 
 
 def test_pushes_keep_within_what_the_machine_declares() -> None:

@@ -15,6 +15,7 @@ import pytest
 import zendsp
 from zendsp.errors import Refused, Unmeasured
 from zendsp.experiment import Lab, Result, any_friction, gentle, run_experiment
+from zendsp.experiment.demand import Felt
 from zendsp.experiment.lab import Bench
 from zendsp.experiment.watch import BEARS, LOOP
 from zendsp.link import Target
@@ -105,11 +106,11 @@ def test_a_loop_is_no_stiffer_than_its_sampling_bears_at_the_declared_inertia(
         target=SimpleNamespace(status=lambda: SimpleNamespace(rate_hz=1000.0)),
         record=lambda *_, **__: rec,
     )  # fmt: skip
-    for name, value in (("_followed", 1.0), ("firmer", []), ("weak_pieces", None)):
+    felt = Felt(6.6, 0.0, np.zeros(5), np.zeros((5, 5)))
+    for name, value in (("_followed", 1.0), ("firmer", []), ("_felt", felt)):
         monkeypatch.setattr(gentle, name, lambda *_, v=value: v)
-    monkeypatch.setattr(gentle, "_inertia", lambda _: 6.6)
     taken, found = gentle.gentle_first(bench, 1, np.zeros(1), 0.0, 1.0)
-    assert found == 6.6 and LOOP * taken[0] / 0.313 == pytest.approx(BEARS * 1000.0)
+    assert found is felt and LOOP * taken[0] / 0.313 == pytest.approx(BEARS * 1000.0)
 
 
 def test_a_part_of_a_joints_moves_that_tells_nothing_hides_no_error(

@@ -70,6 +70,10 @@ HEAVY = """<mujoco model="heavy"><compiler angle="radian"/><worldbody><body>
 <actuator><motor joint="shoulder" ctrlrange="-8 8"/></actuator></mujoco>"""
 # a count of 1.5 mrad, which in 10 ms is a speed of 0.15 rad/s
 COARSE = ["--machine-option", "counts=4096", "--machine-option", "speed_max=0.15"]
+# what holds it may be 8 N below its weight of 49: to break it away takes twice that more
+LIFT = """<mujoco model="lift20"><worldbody><body><joint name="lift" type="slide" axis="0 0 1"
+range="-0.5 0.5" frictionloss="8" damping="30"/><geom type="box" size="0.1 0.1 0.1" mass="5"/>
+</body></worldbody><actuator><motor joint="lift" ctrlrange="-80 80"/></actuator></mujoco>"""
 OWN = JointInfo(name="b", position_min=-0.3, position_max=0.3, torque_max=1.0)
 
 
@@ -357,3 +361,17 @@ def test_a_staircase_ends_where_a_joint_broke_away_and_stands(tmp_path: Path) ->
         rec = Recording.load(tmp_path / "breakaway" / "beside.npz")
     # that of a staircase, twice the friction of 0.4 N m
     assert np.abs(rec["torque"][rec["phase"] == 2]).max() < 2.0 * 0.4 + 0.2
+
+
+def test_a_lift_that_friction_held_up_is_pushed_by_what_its_drive_has_left(tmp_path: Path) -> None:
+    """By 15 N, all that is left beside its whole weight, it did not break away."""
+    with started(tmp_path, LIFT) as target:
+        lab = Lab(tmp_path, target)
+        low = low_speed(lab)
+        with lab.bench("breakaway") as bench:
+            known = as_found(bench, lab, low)
+            assert known.axes[1].pace == low.values["peak1"].value < 0.25, "as its drive could"
+            rec = _push(Pusher(bench, known), "up", 1, 1, 0.315, known.axes[1].fast, HOLD)
+    pushing = rec["phase"] == 2
+    assert (rec["phase"] > 2).any(), "it broke away and was braked"
+    assert 49.05 + 8.0 < np.abs(rec["torque"][pushing]).max() < 0.8 * 80.0

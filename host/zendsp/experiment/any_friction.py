@@ -5,15 +5,17 @@ directions, within the limits that the machine states.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.series import stretches
 from zendsp.errors import Unmeasured, ZendspError
+from zendsp.experiment.demand import within_drive
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.gentle import (
@@ -55,6 +57,7 @@ Line = tuple[float, float, float, float]  # level, viscous coefficient, their ha
 
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
+RAMP = 0.15  # s
 ENOUGH = 8  # moves: a line of each direction, the weight and the inertia are seven numbers
 # times that a direction's level is less sure than the mean of both, from which on it is told: it is
 # 1.4 where the weight is known, and was 24 for joint 1 of imi_planar
@@ -84,9 +87,11 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
         driven = tuple(i for i, j in enumerate(all_joints, 1) if j.command != "none")
         for joint in joints or driven:
             with left_out(result, bench.target, joint):
-                reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
+                own = all_joints[joint - 1]
+                moves = partial(_moves, own, place, joint, speeds, period)
+                reference, inertias, turned = _planned(bench, result, moves, joint, place)
                 try:
-                    sliding, rec = _record(bench, reference, joint, place)
+                    sliding, rec = _record(bench, reference, joint, inertias, turned)
                 except BaseException:
                     _of_part(result, bench, reference, joint)
                     raise
@@ -155,18 +160,22 @@ def _steady(reference: Reference, joint: int) -> list[tuple[int, int]]:
     return stretches((np.abs(turn) < STEADY) & (np.abs(pace) > MOVING))
 
 
-def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: float) -> Reference:
-    """For each speed: ramp up, cruise, ramp down, rest, and the same back."""
+def _moves(
+    joint: JointInfo, place: Array, number: int, speeds: int, period: float, share: float = 1.0
+) -> Reference:
+    """For each speed: ramp up, cruise, ramp down, rest, and the same back; at a share of the usual
+    speeds.
+    """
     low, high = joint.position_min, joint.position_max
     travel = min(TRAVEL, SHARE * (high - low))
     if not travel > 0.0:
         raise Unmeasured(
             f"{joint.name}: its range is {low:g} to {high:g} {joint.unit}: no way to move"
         )
-    fastest = min(SPEED * joint.speed_max, travel / CRUISE)
+    fastest = share * min(SPEED * joint.speed_max, travel / CRUISE)
     margin = 0.1 * travel
     start = float(np.clip(place[number - 1] - travel / 2, low + margin, high - margin - travel))
-    ramp = 0.15  # s
+    ramp = RAMP / share
     moves, at = [], start
     for speed in np.geomspace(fastest / SPREAD, fastest, speeds):
         cruise = max(0.0, travel / speed - ramp)
@@ -184,16 +193,27 @@ def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: flo
     return Reference(q, stride * period, kind="trapezoid", machine="")
 
 
-def _record(
-    bench: Bench, reference: Reference, joint: int, place: Array
-) -> tuple[Sliding, Recording]:
-    """The pieces of a joint's moves, after a gentle one, and the recording. Where it does not
-    follow them its loop is made stiffer: a light joint with much friction hardly gives way to it.
+def _planned(
+    bench: Bench, result: Result, moves: Callable[[float], Reference], joint: int, place: Array
+) -> tuple[Reference, Array, float]:
+    """A joint's moves, as fast as its drive can, after a gentle one which tells that; inertia of
+    each joint for the loop, and what the joint itself turns at least as far as known.
     """
-    column, rate = reference.q[:, joint - 1], bench.target.status().rate_hz
+    column = moves(1.0).q[:, joint - 1]
     middle, travel = 0.5 * float(column.min() + column.max()), float(np.ptp(column))
-    inertias, turned = gentle_first(bench, joint, place, middle, travel)
-    turned = max(turned, float(bench.inertias[joint - 1]))
+    inertias, found = gentle_first(bench, joint, place, middle, travel)
+    share, slower = within_drive(moves, found, bench.machine.joints[joint - 1], joint)
+    result.warnings += [slower] * bool(slower)
+    return moves(share), inertias, max(found.inertia, float(bench.inertias[joint - 1]))
+
+
+def _record(
+    bench: Bench, reference: Reference, joint: int, inertias: Array, turned: float
+) -> tuple[Sliding, Recording]:
+    """The pieces of a joint's moves, and the recording. Where it does not follow them its loop is
+    made stiffer: a light joint with much friction hardly gives way to it.
+    """
+    rate = bench.target.status().rate_hz
     stride = round(reference.sample_time * rate)
     for tries in range(TRIES + 1):
         rec = bench.record(

@@ -20,6 +20,7 @@ from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.staircase import (
     HOLD,
     Steps,
+    began_at,
     breakaway_torque,
     bristle_stiffness,
     one_way,
@@ -324,6 +325,8 @@ def _push(
                 continue
             return rec
         refuse_held_up(rec, axis, direction)
+        # where friction held it up, more is left to push it with than beside its whole weight
+        most = max(most, USED * axis.torque - direction * began_at(rec, axis))
         if enough >= most:
             return rec
         may = one_way(pusher, f"{word}_back", steps, rec)

@@ -4,6 +4,7 @@ and holds the others, and what it turns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
 
@@ -12,10 +13,11 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.series import stretches
 from zendsp.errors import Unmeasured
-from zendsp.experiment.estimates import NORMAL, bump_means, least_squares, smoothed
+from zendsp.experiment.demand import Felt, felt
+from zendsp.experiment.estimates import bump_means, smoothed
 from zendsp.experiment.lab import Bench, playing
 from zendsp.experiment.sliding import ACTS, Sliding, held_turns
-from zendsp.experiment.watch import BEARS, LOOP, STIFFER, firmer
+from zendsp.experiment.watch import BEARS, LOOP, STIFFER, AtLimit, firmer
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
@@ -28,12 +30,16 @@ TRAVEL = 0.8  # rad or m, of the moves that follow, at most …
 SHARE = 0.4  # … and of the range of the joint
 SPEED = 0.4  # of the largest speed
 GENTLE = 3  # cycles of the first motion, over a quarter of the way …
-CALM = 2.0  # s, each move of it
+CALM = 2.0  # s, each move of it, at least …
+SLOWEST = 16.0  # … and at most
+EASY = 0.1  # of the largest speed, at most: friction that holds a joint up lets it go faster
+LONGEST = 50.0  # s, all moves of a motion: a table holds 60 s
 FOLLOWS = 0.8  # of what it is to do a joint does, at least; else its loop is made stiffer …
 TRIES = 4  # … so often
-KNOWN = 0.2  # of an inertia, its standard deviation at most where the loop is set by it
 REST = 0.3  # s, after each move
-PEAK = 1.875  # largest speed of a move of length and duration 1
+PEAK = 1.875  # largest speed of a move of length and duration 1 …
+TURN = 5.774  # … and its largest acceleration
+TORQUE = 0.3  # of the largest torque, to accelerate
 SLIDES = 0.2  # of a move's largest speed: below, bristles bend
 PIECES = 10  # of a move
 WIDTH = 1.0 / 6.0  # of a move: what a piece averages over
@@ -75,7 +81,7 @@ class Accelerated(Sliding):
 
 def gentle_first(
     bench: Bench, joint: int, place: Array, middle: float, travel: float
-) -> tuple[Array, float]:
+) -> tuple[Array, Felt]:
     """Move a joint gently about the ``middle`` of the ``travel`` that is to follow. Where it does
     not follow, or a held joint gives way, the loop is made stiffer and the motion repeated.
 
@@ -83,8 +89,8 @@ def gentle_first(
     -------
     ndarray
         Inertia of each joint that joint_pd.c is to take, kg m^2 or kg.
-    float
-        What the joint itself turns, as the motion shows; 0 where it does not.
+    Felt
+        What the motion shows of the joint itself.
 
     Raises
     ------
@@ -94,16 +100,23 @@ def gentle_first(
     """
     told, rate = bench.machine.joints, bench.target.status().rate_hz
     own = told[joint - 1]
-    way = min(travel, within_calm(own)) / 4.0
-    moves = smooth_moves(place, joint, middle - way / 2.0, way, [CALM] * GENTLE, 1.0 / rate)
+    each = _calm(own, travel / 4.0, declared(bench)[joint - 1])
+    way = each[-1][1]
 
-    def moved(**values: Array) -> Recording:
-        return bench.record(
-            f"joint{joint}_gentle", PROGRAM, CHANNELS, reference=moves.reference,
-            before=approach_time(bench), **values,  # type: ignore[arg-type]
-        )
+    def moved(longer: float = 1.0, **values: Array) -> tuple[Recording, Moves]:
+        durations, ways = zip(*((longer * seconds, way) for seconds, way in each), strict=True)
+        moves = smooth_moves(place, joint, middle - way / 2.0, ways, durations, 1.0 / rate)
+        try:
+            return bench.record(
+                f"joint{joint}_gentle", PROGRAM, CHANNELS, reference=moves.reference,
+                before=approach_time(bench), **values,  # type: ignore[arg-type]
+            ), moves
+        except AtLimit:  # one that goes may need less to go at half of that pace
+            if bench.seen[joint].way < FOLLOWS * way or 2.0 * moves.reference.duration > LONGEST:
+                raise
+        return moved(2.0 * longer, **values)
 
-    rec = moved()
+    rec, moves = moved()
     inertias = np.atleast_1d(np.asarray(rec.parameters["J"], dtype=np.float64)).copy()
     tries = 0
     while (went := _followed(rec, joint)) < FOLLOWS * way:
@@ -114,21 +127,37 @@ def gentle_first(
             )
         tries += 1  # a light joint with much friction hardly gives way to its loop
         inertias[joint - 1] *= STIFFER
-        rec = moved(J=inertias)
+        rec, moves = moved(J=inertias)
     while firm := firmer(bench.seen, joint, told, rate, inertias / bench.inertias):
         inertias[[j - 1 for j in firm]] *= STIFFER
-        rec = moved(J=inertias)
-    found = _inertia(weak_pieces(rec, moves, joint)) or 0.0
+        rec, moves = moved(J=inertias)
+    found = _felt(rec, moves, joint, float(inertias[joint - 1]))
     # a friction that depends on the place may look like an inertia: the sampling has to bear the
     # loop at the declared one, too
     borne = BEARS * rate / LOOP * bench.inertias[joint - 1]
-    inertias[joint - 1] = max(inertias[joint - 1], min(found, borne))
+    inertias[joint - 1] = max(inertias[joint - 1], min(found.inertia, borne))
     return inertias, found
 
 
-def within_calm(own: JointInfo) -> float:
-    """The longest way that a calm move may have at the joint's speed."""
-    return SPEED * own.speed_max * CALM / PEAK
+def _felt(rec: Recording, moves: Moves, joint: int, said: float) -> Felt:
+    """What a gentle motion shows of a joint; ``said``: the inertia where it does not show that."""
+    tau = np.atleast_2d(rec["tau"].T).T[playing(rec, moves.reference.samples), joint - 1]
+    noise = float(np.std(tau - smoothed(tau, FEWEST)))
+    return felt(weak_pieces(rec, moves, joint), said, noise)
+
+
+def _calm(own: JointInfo, way: float, inertia: float) -> list[tuple[float, float]]:
+    """Time and way of each cycle of a gentle motion, at up to a tenth of the joint's speed. One
+    that is so slow goes a shorter way first, and then once the way that is wanted, or as far as it
+    comes in ``SLOWEST``: a small part of a way does not tell the weight at its ends.
+    """
+    pace = EASY * own.speed_max / PEAK
+    near = min(way, pace * CALM)
+    cycles = [(max(CALM, pushed_time(own, near, inertia)), near)] * GENTLE
+    if near < way:
+        far = min(way, pace * SLOWEST)
+        cycles.append((max(far / pace, pushed_time(own, far, inertia)), far))
+    return cycles
 
 
 def approach_time(bench: Bench) -> float:
@@ -137,8 +166,24 @@ def approach_time(bench: Bench) -> float:
     """
     joints = bench.machine.joints
     ways = [min(TRAVEL, SHARE * (j.position_max - j.position_min)) for j in joints]
-    paces = [SPEED * j.speed_max for j in joints]
-    return max(2.0, *(ceil(PEAK * w / v) for w, v in zip(ways, paces, strict=True) if v > 0.0))
+    times = [PEAK * w / (SPEED * j.speed_max) for j, w in zip(joints, ways, strict=True)
+             if j.speed_max > 0.0]  # fmt: skip
+    each = zip(joints, ways, declared(bench), strict=True)
+    times += [pushed_time(j, w, J) for j, w, J in each if j.command != "none"]
+    return max(2.0, *(ceil(t) for t in times))
+
+
+def declared(bench: Bench) -> Array:
+    """Inertia of each joint as the loop takes it, kg m^2 or kg: what the machine says."""
+    if not bench.inertias.size:
+        bench.target.download(PROGRAM)
+        bench.inertias = np.atleast_1d(np.asarray(bench.target["J"], dtype=np.float64))
+    return bench.inertias
+
+
+def pushed_time(own: JointInfo, way: float, inertia: float) -> float:
+    """The shortest time of a smooth move that takes ``TORQUE`` to accelerate, s."""
+    return float((TURN * way * inertia / (TORQUE * own.torque_max)) ** 0.5)
 
 
 def _followed(rec: Recording, joint: int) -> float:
@@ -148,18 +193,20 @@ def _followed(rec: Recording, joint: int) -> float:
 
 
 def smooth_moves(
-    place: Array, joint: int, start: float, travel: float, durations: list[float], period: float
+    place: Array, joint: int, start: float, travel: float | Sequence[float],
+    durations: Sequence[float], period: float,
 ) -> Moves:
-    """For each duration a move there and one back, without a jump of the acceleration, and rests.
+    """For each duration a move there and one back, without a jump of the acceleration, and rests;
+    ``travel``: how far all go, or each.
     """
     way, rows, row = [], [], 0
     rest = round(REST / period)
-    for duration in durations:
+    for duration, far in zip(durations, np.broadcast_to(travel, len(durations)), strict=True):
         n = round(duration / period)
         s = np.arange(n) / n
         share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         for there in (share, 1.0 - share):
-            way += [start + travel * there, np.full(rest, start + travel * round(there[-1]))]
+            way += [start + far * there, np.full(rest, start + far * round(there[-1]))]
             rows.append((row, row + n))
             row += n + rest
     q = np.tile(place, (row, 1))
@@ -258,15 +305,3 @@ def _piece(q: Array, tau: Array, begin: int, n: int, dt: float) -> tuple[float, 
     torque, rate, _ = bump_means(acting, dt)
     turned = (bump_means(x, dt)[0] for x in (np.cos(q[at]), np.sin(q[at])))
     return place, *turned, speed, torque, turn, rate
-
-
-def _inertia(gentle: Sliding) -> float | None:
-    """The inertia that the first motion shows; None where it does not."""
-    one = np.ones_like(gentle.q)
-    A = np.stack(
-        [gentle.acceleration, np.sign(gentle.speed), gentle.speed, one, gentle.q], axis=1
-    )
-    if np.linalg.matrix_rank(A) < A.shape[1]:  # it slid one way only, or at one place
-        return None
-    x, half, _ = least_squares(A, gentle.torque)
-    return float(x[0]) if half[0] / NORMAL < KNOWN * x[0] else None

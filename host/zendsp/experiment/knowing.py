@@ -139,6 +139,8 @@ def as_found(bench: Bench, lab: Lab, low: Result | None) -> Known:
         # where friction falls with speed its slope there says nothing of high speeds
         viscous = max(slope, level / axis.speed)
         axes[j] = axis_of(j, infos[j - 1], place, other.get(j, load), level, viscous)
+        if peak := low.values.get(f"peak{j}"):  # less than usual where the drive gave no more
+            axes[j] = replace(axes[j], pace=peak.value)
         axes[j] = replace(with_pushes(axes[j]), load=load)
     found = replace(first, axes=axes, pose=pose, stands=first.pose, apart=first.apart and not other)
     return with_loads(found, other)
@@ -199,14 +201,15 @@ def with_pushes(axis: Axis) -> Axis:
 def top_speed(axis: Axis) -> tuple[float, str]:
     """The largest speed of pushes at constant torque, and what bounds it, in words."""
     load, room, viscous = axis.load, axis.high - axis.low, max(axis.viscous, 1e-9)
-    spare = max(0.0, 0.5 * USED * axis.torque - load.most - axis.level)
+    pushes = 0.5 * USED
+    spare = max(0.0, pushes * axis.torque - load.most - axis.level)
     stops = 0.5 * USED * axis.torque / load.inertia  # rad/s^2
     force, far = axis.force, f"its range of {room:.3g} {axis.unit}"
     return min(
         (USED * 0.75 * axis.speed, f"its largest speed of {axis.speed:.3g} {axis.unit}/s"),
         (spare / viscous,
-         f"its torque_max of {axis.torque:.3g} {force}, beside a weight of up to {load.most:.3g}"
-         f" and a friction of {axis.level:.3g} {force},"),
+         f"its torque_max of {axis.torque:.3g} {force}, of which {pushes:.0%} may push it, less a"
+         f" weight of up to {load.most:.3g} and a friction of {axis.level:.3g} {force},"),
         (max(WAY * room * viscous / (1.2 * load.inertia), 2.0 * axis.pace),
          f"{far}, in which it has to come to a steady speed,"),
         (BRAKES * room / BRAKED, f"{far}, in which it has to stop,"),

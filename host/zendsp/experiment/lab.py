@@ -29,7 +29,7 @@ from zendsp.experiment.early_end import (
 from zendsp.experiment.names import result_file
 from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
-from zendsp.experiment.watch import Held, Seen, check, guarded, look
+from zendsp.experiment.watch import Held, Seen, cause, check, guarded, look
 from zendsp.here.stopped import ended
 from zendsp.here.uninterrupted import uninterrupted
 from zendsp.link import Target
@@ -322,9 +322,8 @@ class Bench:
             target.write(**values)
         if seconds is None:
             raise ZendspError(f"recording {name}: give seconds, or a reference")
-        fetched = Fetched(target)
+        fetched, held = Fetched(target), Held.by(reference, values)
         try:
-            held = Held.by(reference, values)
             with guarded(target, name, held), kept(target, [], moves=True), not_waiting(target):
                 recording = target.acquire(
                     channels, seconds=seconds, decimation=decimation, start=True, note=name,
@@ -341,6 +340,8 @@ class Bench:
                 _stop(target)  # first of all
             with uninterrupted(), contextlib.suppress(ZendspError):
                 self._keep_part(name, str(error) or type(error).__name__, fetched)
+            if isinstance(error, Refused) and (why := self._cause(name, held)):
+                raise Refused(f"{error}. {why}") from error
             raise
         self._keep(recording, name)
         if self.takes_over is not None and {"q", "tau"} <= set(recording.names):
@@ -434,6 +435,15 @@ class Bench:
         if recording is not None:
             place, _ = save_anyhow(recording, self.folder / f"{name}_ended.npz")
             self.part = place, recording
+
+    def _cause(self, name: str, held: Held) -> str:
+        """Why the joint that tripped did so, by what was recorded."""
+        if not self.target.alive:
+            return ""
+        part = self.part
+        own = part is not None and part[0].name == f"{name}_ended.npz"
+        rec = part[1] if part is not None and own else None
+        return cause(self.target.status().trip, rec, self.machine.joints, held)
 
 
 def _blocked(target: Target) -> bool:

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import Unmeasured
+from zendsp.experiment.demand import within_drive
 from zendsp.experiment.estimates import NORMAL, least_squares, smoothed, widest
 from zendsp.experiment.figures import AMBER, BLUE, label, make_figure, save
 from zendsp.experiment.gentle import gentle_first, stride_of
@@ -95,9 +96,9 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
         period = 1e-3 if arm is not None else 1.0 / bench.target.status().rate_hz
         for joint in joints or known.axes:
             with left_out(result, bench.target, joint):
-                axis = known.axes[joint]
+                axis, values = _paced(bench, known, joint, (cycles, period), result)
                 motion = triangles(axis, known, cycles, period)
-                rec = _recorded(bench, known, axis, motion)
+                rec = _recorded(bench, known, axis, motion, values)
                 curve = friction_curve(rec, known, axis, motion)
                 curves[joint] = axis, curve
                 _report(result, known, axis, curve)
@@ -118,11 +119,30 @@ def low_speed(lab: Lab, cycles: int = 6, joints: tuple[int, ...] = ()) -> Result
     return result
 
 
-def _recorded(bench: Bench, known: Known, axis: Axis, motion: Triangles) -> Recording:
-    """The motion of a joint; one that is not the shipped machine's moves gently before."""
-    name, values = f"joint{axis.number}", dict(known.values)
-    if known.program == PROGRAM:
-        values["J"], _ = gentle_first(bench, axis.number, known.pose, axis.middle, axis.travel)
+def _paced(
+    bench: Bench, known: Known, joint: int, asked: tuple[int, float], result: Result
+) -> tuple[Axis, dict[str, Any]]:
+    """A joint with the pace that its drive can give it, and parameters of the loop. One that is not
+    the shipped machine's moves gently before, which tells both.
+    """
+    axis, values = known.axes[joint], dict(known.values)
+    if known.program != PROGRAM:
+        return axis, values
+    values["J"], found = gentle_first(bench, joint, known.pose, axis.middle, axis.travel)
+
+    def motion(share: float) -> Reference:
+        return triangles(replace(axis, pace=share * axis.pace), known, *asked).reference
+
+    share, slower = within_drive(motion, found, bench.machine.joints[joint - 1], joint)
+    result.warnings += [slower] * bool(slower)
+    return replace(axis, pace=share * axis.pace), values
+
+
+def _recorded(
+    bench: Bench, known: Known, axis: Axis, motion: Triangles, values: Mapping[str, Any]
+) -> Recording:
+    """The motion of a joint."""
+    name = f"joint{axis.number}"
     rec = bench.record(
         name, known.program, ["play_time", "q", "tau"], decimation=motion.stride,
         reference=motion.reference, before=_approach(known, motion), **values,

@@ -13,21 +13,25 @@ from matplotlib.figure import Figure
 from zendsp.errors import Unmeasured
 from zendsp.experiment import spun_shaft
 from zendsp.experiment.any_friction import fit_line, with_coupling
+from zendsp.experiment.demand import within_drive
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.gentle import (
+    CALM,
     CHANNELS,
+    LONGEST,
     PEAK,
     PROGRAM,
     REST,
     SHARE,
     SPEED,
     TRAVEL,
+    Moves,
     approach_time,
     gentle_first,
+    pushed_time,
     smooth_moves,
     weak_pieces,
-    within_calm,
 )
 from zendsp.experiment.knowing import refuse_none
 from zendsp.experiment.lab import Bench, Lab
@@ -41,12 +45,9 @@ from zendsp_protocol.views import with_std
 Array = npt.NDArray[np.float64]
 
 ASIDE = 0.25  # of the travel, kept free at both ends of the range
-TORQUE = 0.3  # of the largest torque, to accelerate
 FASTEST = 0.8  # s, a move: the loop of joint_pd.c follows faster ones badly
 SPREAD = 6.0  # slowest over fastest move
 MOVES = 6  # durations, each there and back
-LONGEST = 50.0  # s, all moves together: a table holds 60 s
-TURN = 5.774  # largest acceleration of a move of length and duration 1
 
 
 def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
@@ -71,7 +72,8 @@ def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
         for joint in joints or [j for j, own in enumerate(told, 1) if own.command != "none"]:
             with left_out(result, bench.target, joint):
                 turns = told[joint - 1].unit == "rad"
-                pieces, coupled = with_coupling(_measure(bench, joint, place), turns)
+                measured = _measure(bench, joint, place, result)
+                pieces, coupled = with_coupling(measured, turns)
                 found = fit_line(pieces, turns)
                 curves[joint] = pieces, found
                 _report(result, joint, told[joint - 1].unit, found)
@@ -88,17 +90,23 @@ def mechanical(lab: Lab, joints: tuple[int, ...] = ()) -> Result:
     return result
 
 
-def _measure(bench: Bench, joint: int, place: Array) -> Sliding:
-    """A gentle motion first, which tells the inertia for the loop and for the accelerations; then
-    slow to fast moves.
+def _measure(bench: Bench, joint: int, place: Array, result: Result) -> Sliding:
+    """A gentle motion first, which tells the inertia for the loop and what the drive has to give;
+    then slow to fast moves.
     """
     own = bench.machine.joints[joint - 1]
     travel, start = _way(own, float(place[joint - 1]))
     inertias, found = gentle_first(bench, joint, place, start + travel / 2.0, travel)
-    durations, way = _durations(own, travel, found or inertias[joint - 1])
     period = 1.0 / bench.target.status().rate_hz
-    start += (travel - way) / 2.0
-    moves = smooth_moves(place, joint, start, way, durations, period)
+    turned = found.inertia or float(inertias[joint - 1])
+
+    def moving(share: float) -> Moves:
+        durations, way = _durations(own, travel, turned, share)
+        return smooth_moves(place, joint, start + (travel - way) / 2.0, way, durations, period)
+
+    share, slower = within_drive(lambda x: moving(x).reference, found, own, joint)
+    result.warnings += [slower] * bool(slower)
+    moves = moving(share)
     rec = bench.record(
         f"joint{joint}", PROGRAM, CHANNELS, reference=moves.reference,
         before=approach_time(bench), J=inertias,
@@ -106,16 +114,18 @@ def _measure(bench: Bench, joint: int, place: Array) -> Sliding:
     return replace(weak_pieces(rec, moves, joint), count=1.0 / abs(own.counts_per_unit))
 
 
-def _durations(own: JointInfo, travel: float, inertia: float) -> tuple[list[float], float]:
-    """How long the moves take, slow to fast, and how far they go: less far than they might where
-    the joint would take too long for that, or for its torque.
+def _durations(
+    own: JointInfo, travel: float, inertia: float, share: float = 1.0
+) -> tuple[list[float], float]:
+    """How long the moves take, slow to fast, at a share of their speeds, and how far they go: less
+    far than they might where the joint would take too long for that, or for its torque.
     """
     most = LONGEST / (2.0 * MOVES) - REST
     quick = max(
         FASTEST,
         PEAK * travel / (SPEED * own.speed_max),
-        (TURN * travel * inertia / (TORQUE * own.torque_max)) ** 0.5,
-    )
+        pushed_time(own, travel, inertia),
+    ) / share
     if quick > most:
         travel, quick = travel * (most / quick) ** 2, most
     for spread in np.geomspace(SPREAD, 1.0, 20):  # closer together where all are slow
@@ -128,7 +138,8 @@ def _durations(own: JointInfo, travel: float, inertia: float) -> tuple[list[floa
 def _way(joint: JointInfo, place: float) -> tuple[float, float]:
     """How far a joint moves, and from where: about its place, off the ends of its range."""
     low, high = joint.position_min, joint.position_max
-    travel = min(TRAVEL, SHARE * (high - low), within_calm(joint))
+    calm = SPEED * joint.speed_max * CALM / PEAK  # a move of that time at its speed
+    travel = min(TRAVEL, SHARE * (high - low), calm)
     if not travel > 0.0:
         raise Unmeasured(
             f"{joint.name}: its range is {low:g} to {high:g} {joint.unit}: no way to move"

@@ -105,6 +105,11 @@ def went(rec: Recording, axis: Axis) -> bool:
     return abs(last - first) > BROKE * THRESHOLD * axis.travel
 
 
+def began_at(rec: Recording, axis: Axis) -> float:
+    """Torque at which a push began, N m."""
+    return _ends(rec, axis)[0][0]
+
+
 def _ends(rec: Recording, axis: Axis) -> tuple[tuple[float, float], tuple[float, float]]:
     """Torque and place at the first and at the last row of a push."""
     rows = np.flatnonzero(rec["phase"] == PUSHING)

@@ -33,7 +33,12 @@ STIFFER = 3.0  # times, that the loop of a held joint is made
 LOOP, BEARS = 4.0 * np.pi * 3.0, 0.125
 FIX = "Let the machine declare a larger inertia of it (its loop is stiffer then), or fix it"
 WAYS = ("", "_pos", "_neg")  # both directions of friction together, and each
+BEFORE = 0.5  # s before a trip, in which the command is looked at
 STANDS = 0.5  # of its way: a joint that moves less was to move and did not
+
+
+class AtLimit(Unmeasured):
+    """The command of a joint that moves was at its limit."""
 
 
 @dataclass(frozen=True)
@@ -150,8 +155,8 @@ def check(
 
     Raises
     ------
-    Unmeasured
-        The command of a joint that moves was at its limit: others may still be measured.
+    AtLimit
+        The command of a joint that moves was: others may still be measured.
     Refused
         A joint that was to be held was not: nothing is moved any more.
     """
@@ -162,7 +167,7 @@ def check(
             does = f"was to be held and gave way by {one.away:.3g} {own.unit}"
             if j in held.moving:
                 does = f"moves {one.way:.3g} of {one.wanted:.3g} {own.unit}"
-            raise (Unmeasured if j in held.moving else Refused)(
+            raise (AtLimit if j in held.moving else Refused)(
                 f"{name}: the command of joint {j} ({own.name}) is at its limit of"
                 f" {limits.torque_max[j - 1]:g} {force} in {one.at_limit:.0%} of the samples, and"
                 f" the joint {does}: friction or weight take more than the drive gives. Nothing is"
@@ -233,25 +238,57 @@ def _gave_way(trip: Trip, infos: Sequence[JointInfo], held: Held) -> str:
     """A sentence where a trip is that of a joint that was held, or that left its way, or its speed;
     else "".
     """
+    own = infos[trip.joint - 1]
+    name = f"joint {trip.joint} ({own.name})"
     if trip.reason == TripReason.SPEED and trip.joint in held.ways:
-        own = infos[trip.joint - 1]
         return (
-            f"joint {trip.joint} ({own.name}) was to move at up to"
-            f" {held.speeds[trip.joint]:.3g} {own.unit}/s and came to {abs(trip.value):.3g}, beyond"
-            f" its limit of {trip.limit:.3g}: friction held it where it turns round and let it go,"
-            " or it carries more than its loop holds. Let the machine declare a larger inertia of"
-            " it (its loop is stiffer then), or a larger speed_max if it bears that"
+            f"{name} was to move at up to {held.speeds[trip.joint]:.3g} {own.unit}/s and came to"
+            f" {abs(trip.value):.3g}, beyond its limit of {trip.limit:.3g}"
         )
     if trip.reason != TripReason.POSITION or trip.joint not in _ways(held):
         return ""
-    own, (first, last) = infos[trip.joint - 1], _ways(held)[trip.joint]
+    first, last = _ways(held)[trip.joint]
     if trip.joint in held.places:
         return too_far(own, trip.joint, held, abs(trip.value - first))
     return (
-        f"joint {trip.joint} ({own.name}) was to move from {first:.3g} to {last:.3g} {own.unit} and"
-        f" came to {trip.value:.3g}: its loop does not hold what it moves. Look at the inertia that"
-        " the machine declares of it, and at what it carries"
+        f"{name} was to move from {first:.3g} to {last:.3g} {own.unit} and came to"
+        f" {trip.value:.3g}. An experiment stops a joint that leaves its way by as much as that is"
+        f" long, or by {UNSAFE:.0%} of its range"
     )
+
+
+def cause(trip: Trip | None, rec: Recording | None, joints: Sequence[JointInfo], held: Held) -> str:
+    """Why a joint that moves left its way or its speed, and what to do, in sentences; "" where that
+    is not what a trip is of. ``rec``: what was recorded by then.
+    """
+    if trip is None or trip.joint not in held.ways:
+        return ""
+    own = joints[trip.joint - 1]
+    if rec is not None and {"tau", "play_time"} <= set(rec.names) and len(rec):
+        end = float(rec["play_time"].max())  # it begins anew where drives are off
+        last = rec["play_time"] > end - BEFORE
+        tau = np.abs(rec["tau"].reshape(len(rec), -1)[last, trip.joint - 1])
+        full = float((tau >= own.torque_max * (1.0 - 1e-6)).mean())
+        if full > AT_LIMIT:
+            force = "N m" if own.unit == "rad" else "N"
+            return (
+                f"Its command was at its limit of {own.torque_max:g} {force} (torque_max) in"
+                f" {full:.0%} of the last {BEFORE:g} s: its drive does not turn round what it moves"
+                " so fast. Let the machine declare the inertia that it has, if that is another; or"
+                " a smaller speed_max, or a larger torque_max if the drive bears it"
+            )
+    if trip.reason == TripReason.SPEED:
+        return (
+            "Friction held it where it turns round and let it go, or it carries more than its loop"
+            " holds. Let the machine declare a larger inertia of it (its loop is stiffer then), or"
+            " a larger speed_max if it bears that"
+        )
+    if trip.reason == TripReason.POSITION:
+        return (
+            "Its loop does not hold what it moves. Look at the inertia that the machine declares of"
+            " it, and at what it carries"
+        )
+    return ""
 
 
 @contextmanager
