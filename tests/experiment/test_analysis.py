@@ -365,6 +365,65 @@ def test_no_speed_of_a_steady_part_is_read_from_the_ramp_after_it() -> None:
     assert np.abs(pieces.torque - 1.5 * pieces.speed).max() < 1e-6  # N m; 0.051 before
 
 
+def test_the_torque_of_a_speed_that_still_changes_is_averaged_as_the_speed_is() -> None:
+    """The slope of a parabola is a mean of speeds. Beside the torque of its middle row the viscous
+    friction of joint 7 of the WAM, which speeds up in all of a part, was 0.03 % too large.
+    """
+    period = 0.002
+    t = np.arange(1500) * period
+    wanted = np.interp(t, [0.0, 0.5, 0.6, 2.4, 2.5, 3.0], [0, 0, 1, 1, 0, 0])
+    speed = wanted + 0.3 * np.sin(12.0 * t)
+    q = -0.3 / 12.0 * np.cos(12.0 * t) + np.cumsum(wanted) * period
+    columns = {"play_time": t, "q": q[:, None], "tau": np.zeros((len(t), 1))}
+    columns["tau"][:, 0] = 1.5 * np.interp(t + 1.5 * period, t, speed)  # the command is earlier
+    rec = Recording.from_columns(columns, sample_time=period)
+    plan = Reference(np.cumsum(wanted)[:, None] * period, period, kind="trapezoid", machine="")
+    pieces = constant_speed_pieces(rec, plan, 1, gravity=False)
+    assert np.ptp(pieces.speed) > 0.5
+    off = pieces.torque - 1.5 * pieces.speed
+    assert np.abs(off).max() < 1e-3  # N m, of sums over 2 ms; 0.01 by the middle rows
+
+
+def test_what_changes_while_a_loop_settles_is_no_scatter() -> None:
+    """As joint 5 of the WAM: its slow parts begin while the loop settles. They weighed a tenth of
+    the fast ones, and the weight that it carries came out a quarter too small in every copy.
+    """
+    rng, found = np.random.default_rng(5), []
+    part = np.repeat(np.arange(12), 10)
+    sign = np.tile(np.repeat([1.0, -1.0], 10), 6)
+    pace = np.repeat(np.geomspace(0.22, 1.33, 6), 20)
+    settles = np.tile(np.exp(-np.arange(10)), 12) * (pace < 0.4)
+    speed = sign * (pace + 0.02 * settles)
+    acceleration = -sign * 0.7 * settles
+    q = sign * np.tile(np.linspace(-0.35, 0.35, 10), 12)
+    clean = 0.2 * sign + 0.9 * speed + 0.004 * acceleration - 0.05 * np.cos(q)
+    for _ in range(40):
+        torque = clean + 4e-4 * rng.standard_normal(120)
+        joint = Sliding(part, q, speed, torque, 0 * q, acceleration)
+        slow, fast = joint.weights()[pace < 0.3].mean(), joint.weights()[pace > 1.0].mean()
+        found.append([slow / fast, fit_friction(joint, True, unknown=True).cosine[0]])
+    ratio, cosine = np.mean(found, axis=0)
+    assert 0.7 < ratio < 1.4, "they scatter alike"
+    scatter = float(np.std(found, axis=0)[1])
+    assert abs(cosine + 0.05) < 3.0 * scatter / 40**0.5
+    # N m; of pieces that weigh alike, which is right here, 0.0016
+    assert scatter < 0.0022
+
+
+def test_slopes_of_few_moves_have_their_own_degrees_of_freedom() -> None:
+    """What moves differ by was taken to leave as much for all numbers: 92 % of the intervals of
+    viscous friction held.
+    """
+    rng, held = np.random.default_rng(8), np.zeros(4)
+    for _ in range(200):
+        joint = unknown_joint(rng, 0.0, 0.0)
+        apart = rng.normal(0.0, 2e-3, 12)[joint.part]  # N m, of each part
+        found = fit_friction(replace(joint, torque=joint.torque + apart), True, unknown=True)
+        got = np.array([*found.value["+"], *found.value["-"]]).reshape(2, 4)
+        held += (np.abs(got[:, :2] - (0.1, 0.005)) <= got[:, 2:]).ravel()
+    assert held.min() >= 184, "of 200, 190 are expected, give or take 3.1"
+
+
 def test_short_fast_parts_that_scatter_more_weigh_less() -> None:
     rng = np.random.default_rng(11)
     errors, stated = [], []

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.series import stretches
-from zendsp.experiment.estimates import NORMAL, least_squares, smoothed, widest, widest_of_few
+from zendsp.experiment.estimates import NORMAL, least_squares, smoothed, widest_of_few
 from zendsp.experiment.lab import playing
 from zendsp.experiment.result import Estimate, FoundEffect
 from zendsp.recording import Recording
@@ -122,23 +122,29 @@ class Sliding:
         """The weight of each piece: see `_weighed`."""
         return self._weighed
 
-    @cached_property  # for many lines that are compared: 2 ms of 2.2 of each
+    @cached_property  # for many lines that are compared: most of each one's time
     def _weighed(self) -> Array:
-        """The weight of each piece: one over the scatter of pieces of that speed about a parabola
-        along their part, relative to the largest. Short fast parts scatter ten times as much as
-        long slow ones.
+        """The weight of each piece: one over the scatter of pieces of that speed, relative to the
+        largest. Short fast parts scatter more than long slow ones.
+
+        It is about a parabola along each part, and what acceleration and speed take: the loop of a
+        light joint still settles where a part begins, and that is no scatter.
         """
-        left, pace = np.zeros_like(self.torque), np.zeros_like(self.torque)
+        up, pace = self.speed > 0, np.zeros_like(self.torque)
+        columns = [up * self.speed, ~up * self.speed, self.acceleration, *self.further]
         for k in np.unique(self.part):
             here = self.part == k
             pace[here] = np.round(4.0 * np.log2(np.abs(self.speed[here].mean())))
-            x = np.vander(self.q[here] - self.q[here].mean(), 3)
-            left[here] = self.torque[here] - x @ np.linalg.lstsq(x, self.torque[here])[0]
+            columns += [here * x for x in np.vander(self.q - self.q[here].mean(), 3).T]
+        A = np.stack(columns, axis=1)
+        left = self.torque - A @ np.linalg.lstsq(A, self.torque, rcond=None)[0]
         scatter = np.ones_like(left)
         for v in np.unique(pace):
             scatter[pace == v] = np.sqrt(np.mean(left[pace == v] ** 2))
         largest = float(scatter.max())
-        return largest / np.maximum(scatter, QUIETEST * largest) if largest else scatter + 1.0
+        if not largest:
+            return np.ones_like(left)
+        return np.asarray(largest / np.maximum(scatter, QUIETEST * largest))
 
 
 def constant_speed_pieces(
@@ -167,6 +173,10 @@ def constant_speed_pieces(
     # each row has the command that acts by then; the acceleration, too, changes until then
     at = np.arange(len(tau))
     acting = np.interp(at - ACTS / rec.decimation, at, tau - g)
+    # the slope of a parabola is a mean of speeds; torque by the same weights, where it accelerates
+    half = window // 2
+    share = half * (half + 1.0) - np.arange(-half, half + 1) ** 2
+    acting = np.convolve(np.pad(acting, half, "edge"), share / share.sum(), "valid")
     turns = smoothed(every, window, rec.sample_time, 2)
     pieces, others_turn = [], []
     for part, (first, last) in enumerate(moves):
@@ -334,12 +344,8 @@ def _half_widths(
     sliding: Sliding, A: Array, left: Array, inverse: Array, ways: Array, unknown: bool
 ) -> Array:
     """Half widths of combinations (rows of ``ways``) of a solution, by weighted columns ``A``."""
-    parts, places = len(np.unique(sliding.part)), sliding.places()
-    if unknown and sliding.planned:  # each part speeds up and slows down: it tells everything
-        wide = widest_of_few(A, left, inverse, ways, (sliding.part, places))
-    else:
-        alike = [(sliding.part, parts - A.shape[1]), (places, len(np.unique(places)) - 1)]
-        wide = widest(A, left, inverse, ways, alike * unknown)
+    each = (sliding.part, sliding.places()) if unknown else ()
+    wide = widest_of_few(A, left, inverse, ways, each)
     weight = sliding.weights()
     # what a command is rounded by is the same in all of a part
     error = A * (weight * sliding.rounded())[:, None]
