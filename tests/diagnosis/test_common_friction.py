@@ -263,7 +263,9 @@ def test_no_rejected_law_leaves_millions_of_per_cent(left: float, words: str) ->
     evidence = Evidence(100.0, 9.0, np.zeros(1))
     piece = Piece("dry_friction", (Term("coulomb", 1, {}),), None, 0.33, evidence, 9.0)  # type: ignore[arg-type]
     before, beside = (Size(x, 0.9 * x, 1.1 * x) for x in (0.31, left))
-    lost = nothing_named._lost("coulomb", 1, 100.0, [piece], before, beside)
+    base = SimpleNamespace(model=SimpleNamespace(kind="rotary"))
+    search: Any = SimpleNamespace(joint=1, base=base)
+    lost = nothing_named._lost("coulomb", search, 100.0, [piece], before, beside)
     assert words in lost.why and "33 % of the torque" in lost.why
 
 

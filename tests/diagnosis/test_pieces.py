@@ -43,12 +43,14 @@ def held_apart(monkeypatch: pytest.MonkeyPatch) -> Held:
         search: Any = SEARCH,
         final: Any = FINAL,
         beside: Sequence[Term] = (),
+        kind: str = "rotary",
     ) -> tuple[list[Piece], list[Piece]]:
+        given: Any = SimpleNamespace(kind=kind)
         monkeypatch.setattr(pieces, "discrepancy", lambda *_: left)
         monkeypatch.setattr(pieces, "structure", lambda *_: structure)
         monkeypatch.setattr(pieces, "kept_laws", lambda *_: list(beside))
         monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: known or Known())
-        return pieces.held_apart(PARTS, None, search, final, list(found))  # type: ignore[arg-type]
+        return pieces.held_apart(PARTS, given, search, final, list(found))
 
     return ask
 
@@ -254,6 +256,20 @@ def test_the_effect_of_another_integration_step_is_not_called_a_spring(
 ) -> None:
     one = piece(size, 5.0, 20.0, effect)
     claimed, _ = held_apart(one, left=Size(0.0001, 0.0, 0.01))
+    assert claimed == ([one] if claims else [])
+
+
+@pytest.mark.usefixtures("moving")
+@pytest.mark.parametrize(
+    ("kind", "size", "claims"),
+    [("rotary", 5e-4, True), ("rotary", 2e-4, False), ("urdf", 5e-4, False), ("urdf", 2e-3, True)],
+)
+def test_nothing_is_claimed_below_what_the_digits_of_a_files_masses_leave(
+    held_apart: Held, kind: str, size: float, claims: bool
+) -> None:
+    """A complete arm, its file written to three digits, had a friction of 0.03 %."""
+    one = piece(size, 5.0, 20.0)
+    claimed, _ = held_apart(one, left=Size(0.0, 0.0, 0.0), kind=kind)
     assert claimed == ([one] if claims else [])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -175,12 +176,13 @@ def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> No
 
 
 def test_no_rejected_rival_with_a_positive_likelihood_is_called_no_more_likely() -> None:
-    left = Size(0.1, 0.1, 0.1)
+    left, search = Size(0.1, 0.1, 0.1), SimpleNamespace(joint=1)
+    lost_of = partial(nothing_named._lost, "stiffness", search, pieces=(), before=left, beside=left)
     for gain, words in ((-10.0, "no more likely"), (14.0, "hardly more likely"), (
         80.0, "is not what is missing")):  # fmt: skip
-        lost = nothing_named._lost("stiffness", 1, gain, (), left, left)
+        lost = lost_of(gain=gain)
         assert words in lost.why and (lost.score > 0.0) != ("no more" in lost.why)
-    lost = nothing_named._lost("stiffness", 1, 14.0, (), left, left)
+    lost = lost_of(gain=14.0)
     assert "log-likelihood +7, and +20" in lost.why
 
 

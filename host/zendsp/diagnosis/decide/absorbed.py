@@ -213,7 +213,7 @@ def _later(
         model = decision.alone.model
         terms = tuple(both[0][0].held() if t is alone[0] else t for t in model.terms)
         size = _size(model.with_terms(terms), decision, test)
-        if size is None or size < finest(effect):
+        if size is None or size < finest(effect, model):
             continue
         other = next(name for name in TIMES if name != effect)
         name = key.replace("_", " ")

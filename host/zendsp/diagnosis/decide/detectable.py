@@ -151,7 +151,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
         unseen = unknown if is_stepped(name) else 0.0
-        beyond = max(after, beyond, unseen, least_stated(name, decision), finest(name))
+        beyond = max(after, beyond, unseen, least_stated(name, decision), finest(name, given))
         stands = is_supported(effect, have)  # or no search tries it
         trace = traces[effect.aliases]
         term = _smallest(trace, name, implant.energy, beyond * scale) if stands else None

@@ -63,7 +63,7 @@ def nothing_named(
     least = search.final.deviance
     tried = {e: p.without.deviance - least for p in pieces for e in p.effects}
     tried |= {r.effect: base.deviance - r.value for r in search.tried[:LIKELIEST]}
-    lost = tuple(_lost(e, joint, gain, pieces, before, beside) for e, gain in tried.items())
+    lost = tuple(_lost(e, search, gain, pieces, before, beside) for e, gain in tried.items())
     out = Decision(
         joint,
         Verdict.COMPLETE,
@@ -181,16 +181,21 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
 
 
 def _lost(
-    effect: str, joint: int, gain: float, pieces: Sequence[Piece], before: Size, beside: Size
+    effect: str,
+    search: JointSearch,
+    gain: float,
+    pieces: Sequence[Piece],
+    before: Size,
+    beside: Size,
 ) -> Rejected:
     """The entry of an effect that is not claimed: its gain in deviance and the reason."""
     seen = next((p for p in pieces if effect in p.effects), None)
     reason = Reason.OTHER
     if seen is not None and seen.lacks and seen.log_e > 0 and seen.evidence.z > CLAIMED:
         size = f"{percent(seen.size)} % of the torque"
-        if seen.size < finest(effect):
+        if seen.size < (allowed := finest(effect, search.base.model)):
             reason = Reason.TOO_SMALL
-            least = f"findings have {percent(finest(effect))} % at least"
+            least = f"findings have {percent(allowed)} % at least"
             why = f"too small to be told: {size}, and {least}"
         elif beside.value**2 > (1.0 - PREDICTED) * before.value**2:
             # above 1 the model does not follow the recording at all
@@ -206,4 +211,4 @@ def _lost(
         why = not_likelier(0.5 * gain, 0.5 * WAIT)
     else:
         why = "is not what is missing, on the recordings held out"
-    return Rejected(effect, joint, why, 0.5 * gain, reason)
+    return Rejected(effect, search.joint, why, 0.5 * gain, reason)

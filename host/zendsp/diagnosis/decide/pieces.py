@@ -31,6 +31,7 @@ from zendsp.diagnosis.decide.thresholds import (
     EXPLAINS,
     FALSE_DISCOVERIES,
     FINEST,
+    FINEST_BESIDE_BODIES,
     HANGING,
     LACKED,
     LAW_ERROR,
@@ -66,7 +67,7 @@ from zendsp.physics.calibration.joint import own_weight
 from zendsp.physics.calibration.observed import trace
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect, mechanism_of, stands_on
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import TREES, Model, Term
 
 Array = npt.NDArray[np.float64]
 
@@ -351,7 +352,7 @@ def held_apart(
         whole = left if piece.mechanism in FRICTION else unknown
         own = timed or (whole <= may_leave(piece) and not second)
         error = 0.0 if own else LAW_ERROR * larger
-        least = max(*map(finest, piece.effects), part, math.hypot(left, error))
+        least = max(*(finest(e, given) for e in piece.effects), part, math.hypot(left, error))
         if sure(parts.test, piece) and piece.size > least:
             claimed.append(piece)
         else:
@@ -385,9 +386,10 @@ def _often(gains: Array) -> float:
     return float(np.sum(np.sign(gains)) / math.sqrt(len(gains)))
 
 
-def finest(effect: str) -> float:
-    """The least size of an effect for a finding, as a part of the RMS torque."""
-    return STEPPED if is_stepped(effect) else FINEST
+def finest(effect: str, model: Model) -> float:
+    """The least size of an effect beside a model for a finding, as a part of the RMS torque."""
+    least = FINEST_BESIDE_BODIES if model.kind in TREES else FINEST
+    return STEPPED if is_stepped(effect) else least
 
 
 def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> list[Term]:

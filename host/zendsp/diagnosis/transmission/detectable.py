@@ -60,7 +60,7 @@ def _smallest(
     implant: Implant, effect: Effect, known: Facts, decision: Decision, given: Model
 ) -> Detectable:
     after = max(decision.after.value, decision.after.often)
-    beyond = max(after, least_stated(effect.name, decision), finest(effect.name))
+    beyond = max(after, least_stated(effect.name, decision), finest(effect.name, given))
     start, largest = _span(effect, decision.joint, known)
     size, torque = implant.seen(start, beyond)
     at = {"load_inertia": start.value("load_inertia")}

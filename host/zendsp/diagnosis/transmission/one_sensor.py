@@ -49,7 +49,7 @@ def by_one_sensor(
             count += len(bend[edge:-edge])
         if squares <= 0.0:  # too short, or at rest: shows no compliance
             continue
-        hidden = max(decision.after.value, finest("elasticity")) * decision.scale
+        hidden = max(decision.after.value, finest("elasticity", model)) * decision.scale
         least = hidden / math.sqrt(squares / count)
         if least * decision.scale > max(r.scale.position for r in records):
             continue  # a spring bent by more than the travel is no useful figure
