@@ -65,6 +65,7 @@ class Arm:
     mass: float = 0.0  # of a payload on the forearm, kg, with its centre at `com`
     com: tuple[float, float, float] = (0.35, 0.05, 0.03)
     round: float = 0.0  # kg m², of it about its centre
+    carried: tuple[float, float] = (0.0, np.inf)  # s, from when and until when it is carried
     heavier: float = 0.0  # kg of the upper arm's own mass
     shifted: float = 0.0  # m of the upper arm's centre, along it
     tilt: float = 0.0  # rad, of gravity about x
@@ -114,7 +115,8 @@ def _simulated(arm: Arm, seed: int, seconds: float) -> np.ndarray:
     given = pin.buildModelFromXML(urdf(arm.links))
     true = given.copy()
     load = pin.Inertia(arm.mass, np.array(arm.com), arm.round * np.eye(3))
-    true.inertias[3] = true.inertias[3] + load
+    bare = given.inertias[3].copy()
+    loads = [bare, bare + load]
     own = true.inertias[2]
     lever = own.lever + np.array([arm.shifted, 0.0, 0.0])
     true.inertias[2] = pin.Inertia(own.mass + arm.heavier, lever, own.inertia)
@@ -145,6 +147,7 @@ def _simulated(arm: Arm, seed: int, seconds: float) -> np.ndarray:
         u = pin.computeGeneralizedGravity(given, plan, y) + kp * (goal - y) - kd * (y - last) * RATE
         last = y
         rows.append([t, *y, *u])
+        true.inertias[3] = loads[int(arm.carried[0] <= t < arm.carried[1])]
         for _ in range(SUB):
             pull = pulled(arm, true, data, q) if arm.strap else lifted(arm, q)
             moving = np.array([v[0], v[1], turns]) if arm.spring else v

@@ -105,6 +105,7 @@ def test_where_cutting_out_all_pushes_leaves_too_little_only_the_largest_is_cut_
     monkeypatch.setattr(undisturbed, "cut_out", cut_out)
     monkeypatch.setattr(undisturbed, "find_once", once)
     monkeypatch.setattr(undisturbed, "other_bodies", lambda *_: ())
+    monkeypatch.setattr(undisturbed, "may_be_loaded", lambda *_: False)
     for name in ("without_one", "_zeroed_elsewhere"):
         monkeypatch.setattr(undisturbed, name, lambda *_: None)
     monkeypatch.setattr(undisturbed, "by_one_alone", lambda found, *_: found)

@@ -61,7 +61,9 @@ def test_a_tried_law_that_is_no_finding_says_why(
 ) -> None:
     seen = replace(piece(size, z, 20.0), why="known laws may be wrong by as much")
     before, after = Size(0.1, 0.1, 0.1), Size(left, left, left)
-    lost = nothing_named._lost("ripple", 2, 100.0, [seen], before, after)
+    base = SimpleNamespace(model=SimpleNamespace(kind="rotary"))
+    search: Any = SimpleNamespace(joint=2, base=base)
+    lost = nothing_named._lost("ripple", search, 100.0, [seen], before, after)
     assert (lost.effect, lost.joint, lost.score) == ("ripple", 2, 50.0)
     assert lost.why.startswith(why)
     assert lost.reason == reason

@@ -363,7 +363,7 @@ def test_no_compliance_is_reported_from_too_short_a_recording_or_beyond_the_trav
         columns={}, sample_time=1e-3, inertia_and_bias=lambda model: (1.0, 0.0),
         scale=SimpleNamespace(position=travel),
     )  # fmt: skip
-    arm = SimpleNamespace(joint_kind=lambda joint: "rotary")
+    arm = SimpleNamespace(joint_kind=lambda joint: "rotary", kind="urdf")
     parts = SimpleNamespace(test=SimpleNamespace(records=[[record]]))
     decision = SimpleNamespace(joint=1, after=SimpleNamespace(value=1e-3), scale=1.0)
     swing = np.sin(0.02 * np.arange(rows))

@@ -103,5 +103,7 @@ def test_the_frequency_of_a_position_error_is_that_of_the_torque_that_makes_it()
 def test_what_adds_no_torque_that_lacked_is_not_called_like_what_lacks(lacks: bool) -> None:
     spring: Any = replace(piece(0.1, 5.0, 20.0, "elasticity"), lacks=lacks)
     before, beside = Size(0.1, 0.09, 0.11), Size(0.01, 0.0, 0.02)
-    lost = nothing_named._lost("elasticity", 1, 500.0, [spring], before, beside)
+    base = SimpleNamespace(model=SimpleNamespace(kind="rotary"))
+    search: Any = SimpleNamespace(joint=1, base=base)
+    lost = nothing_named._lost("elasticity", search, 500.0, [spring], before, beside)
     assert (lost.reason is Reason.NEAR) is lacks

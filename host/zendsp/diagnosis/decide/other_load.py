@@ -135,10 +135,10 @@ def _is_other(before: Estimate, now: Estimate) -> bool:
     return change > max(SURE * math.hypot(before.std, now.std), TOLERANCE * abs(before.value))
 
 
-def of_one_recording(
-    body: FoundBody, recording: str, lacks: float, left: float, given: Model
+def of_recordings(
+    body: FoundBody, recordings: Sequence[str], lacks: float, left: float, given: Model
 ) -> Finding:
-    """The finding of a body that one recording of an arm has and others lack. ``lacks``, ``left``:
+    """The finding of a body that recordings of an arm have and others lack. ``lacks``, ``left``:
     what is missing there without it and with it, as parts of the torque.
     """
     size = math.sqrt(max(lacks**2 - left**2, 0.0))
@@ -147,8 +147,9 @@ def of_one_recording(
     return replace(
         finding,
         share=1.0,
-        sentence=f"{recording} is of a machine with another load than others. {finding.sentence}",
-        numbers={**finding.numbers, "recordings": [recording]},
+        sentence=f"{enumerated(recordings)} {'is' if len(recordings) == 1 else 'are'} of a machine"
+        f" with another load than others. {finding.sentence}",
+        numbers={**finding.numbers, "recordings": list(recordings)},
     )
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.data.prepare import of_one_sensor, prepare
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.findings import Finding
-from zendsp.diagnosis.decide.other_load import of_one_recording
+from zendsp.diagnosis.decide.other_load import of_recordings
 from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED
 from zendsp.diagnosis.explain.machine import Found
 from zendsp.diagnosis.measure.discrepancy import discrepancy
@@ -24,18 +24,18 @@ from zendsp.physics.model import Model
 
 @dataclass(frozen=True)
 class Loaded:
-    """A recording with another load: its body, and the parts of the joints' torques that are
+    """Recordings with another load: its body, and the parts of the joints' torques that are
     missing without it and with it.
     """
 
-    name: str
+    names: tuple[str, ...]
     body: FoundBody
     lacks: float
     left: float
 
     @property
     def is_sure(self) -> bool:
-        """Whether it explains its recording: all joints below ``LAWFUL``, and most of what they
+        """Whether it explains its recordings: all joints below ``LAWFUL``, and most of what they
         lack.
         """
         return self.left < LAWFUL and self.explains_most
@@ -47,7 +47,7 @@ class Loaded:
 
     def finding(self, given: Model) -> Finding:
         """The load as a finding."""
-        return of_one_recording(self.body, self.name, self.lacks, self.left, given)
+        return of_recordings(self.body, self.names, self.lacks, self.left, given)
 
 
 def other_bodies(
@@ -60,11 +60,8 @@ def other_bodies(
     model's own, and has to explain most of what the joints lack; beside what is found in the rest
     it has to explain all (``confirmed``).
     """
-    joints, links = range(1, given.joints + 1), found.parts.fit.records[0][0].links
-    open_ones = [
-        d.joint for d in found.decisions if d.kind in (Verdict.DISTURBANCE, Verdict.UNEXPLAINED)
-    ]
-    if given.joints == 1 or links is None or not open_ones:
+    joints = range(1, given.joints + 1)
+    if not may_be_loaded(found, given):
         return ()
     each = _by_recording(signals)
     if len(each) < 2:
@@ -80,11 +77,39 @@ def other_bodies(
         body = _body_of(each[name], given, jobs, tell) if lacks[name] > LAWFUL else None
         if body is None:
             continue
-        load = Loaded(name, body, lacks[name], _left(every[name], given, body, jobs))
+        load = Loaded((name,), body, lacks[name], _left(every[name], given, body, jobs))
         others = (data for n, data in every.items() if n != name)
         if load.explains_most and any(_contradicts(data, given, body, jobs) for data in others):
             out.append(load)
-    return tuple(out) if len(out) < len(every) else ()
+    if len(out) == len(every):
+        return ()
+    whole = _as_one(out, each, given, jobs, tell) if len(out) > 1 else None
+    return (whole,) if whole is not None and whole.explains_most else tuple(out)
+
+
+def may_be_loaded(found: Found, given: Model) -> bool:
+    """Whether recordings may have another load: joints of an arm lack torque without a law."""
+    links = found.parts.fit.records[0][0].links
+    kinds = {d.kind for d in found.decisions}
+    is_open = not kinds.isdisjoint((Verdict.DISTURBANCE, Verdict.UNEXPLAINED))
+    return given.joints > 1 and links is not None and is_open
+
+
+def _as_one(
+    loads: Sequence[Loaded],
+    each: Mapping[str, Sequence[Signals]],
+    given: Model,
+    jobs: int,
+    tell: Progress,
+) -> Loaded | None:
+    """One load that all loaded recordings share; None where no body is in all of them."""
+    names = tuple(name for load in loads for name in load.names)
+    pieces = [s for name in names for s in each[name]]
+    body = _body_of(pieces, given, jobs, tell)
+    if body is None:
+        return None
+    left = (_left(prepare(each[n], given, LIMITS.bandwidth), given, body, jobs) for n in names)
+    return Loaded(names, body, max(load.lacks for load in loads), max(left))
 
 
 def confirmed(
@@ -99,7 +124,10 @@ def confirmed(
     beside = [
         replace(
             load,
-            left=_left(prepare(each[load.name], model, LIMITS.bandwidth), model, load.body, jobs),
+            left=max(
+                _left(prepare(each[name], model, LIMITS.bandwidth), model, load.body, jobs)
+                for name in load.names
+            ),
         )
         for load in loads
     ]
@@ -121,14 +149,17 @@ def _by_recording(signals: Sequence[Sequence[Signals]]) -> dict[str, list[Signal
 def _body_of(
     pieces: Sequence[Signals], given: Model, jobs: int, tell: Progress
 ) -> FoundBody | None:
-    """The one body that a part of a recording shows and the rest confirms."""
-    if len(pieces) == 1:
-        (s,) = pieces
-        rows, half = len(s.time), len(s.time) // 2
+    """The one body that a part of a recording shows and the rest confirms: the longest piece, or
+    half of it where the others are shorter than that.
+    """
+    longest, *others = sorted(pieces, key=lambda s: -len(s.time))
+    rows, half = len(longest.time), len(longest.time) // 2
+    if sum(len(s.time) for s in others) < half:
         if half < MIN_SAMPLES:
             return None
-        pieces = (s.part(0, half, f"{s.name} begin"), s.part(half, rows, f"{s.name} end"))
-    first, *rest = (prepare([s], given, LIMITS.bandwidth) for s in pieces)
+        end = longest.part(half, rows, f"{longest.name} end")
+        longest, others = longest.part(0, half, f"{longest.name} begin"), [end, *others]
+    first, *rest = (prepare([s], given, LIMITS.bandwidth) for s in (longest, *others))
     more = replace(rest[0], records=tuple(rec for data in rest for rec in data.records))
     try:
         bodies = find_bodies(first, more, given, jobs, tell).found

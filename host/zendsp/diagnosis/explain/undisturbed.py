@@ -24,7 +24,13 @@ from zendsp.diagnosis.explain.one_apart import (
     without,
     without_one,
 )
-from zendsp.diagnosis.explain.other_bodies import Loaded, confirmed, other_bodies
+from zendsp.diagnosis.explain.other_bodies import (
+    Loaded,
+    confirmed,
+    may_be_loaded,
+    other_bodies,
+)
+from zendsp.diagnosis.explain.taken_up import cut_where_taken
 from zendsp.diagnosis.measure.bursts import everywhere
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
@@ -46,10 +52,14 @@ def find(
     """
     found = find_once(parts, given, jobs, tell)
     with kept(lambda: found):
-        loads = other_bodies(found, signals, given, jobs, tell)
-        other = _without_loads(found, loads, signals, given, jobs, tell)
+        cut = signals
+        if may_be_loaded(found, given):
+            tell(Step.ASSEMBLING.says("whether a load is taken up or put down"))
+            cut = cut_where_taken(signals, given, jobs)
+        loads = other_bodies(found, cut, given, jobs, tell)
+        other = _without_loads(found, loads, cut, given, jobs, tell)
         if other is None and (sure := [load for load in loads if load.is_sure]):
-            other = _without_loads(found, sure, signals, given, jobs, tell)
+            other = _without_loads(found, sure, cut, given, jobs, tell)
         other = other or without_one(found, signals, given, jobs, tell)
         other = other or _without_pushes(found, signals, given, jobs, tell)
         return by_one_alone(other, signals, given, jobs, tell)
@@ -69,7 +79,7 @@ def _without_loads(
     """
     if not loads:
         return None
-    names = tuple(load.name for load in loads)
+    names = tuple(name for load in loads for name in load.names)
     tell(Step.ASSEMBLING.says("once more, without the recordings of another load"))
     rest = without(signals, names, given)
     if rest is None:
