@@ -118,7 +118,8 @@ def test_a_remainder_that_a_library_law_nearly_describes_is_not_called_unknown(
 def test_a_mechanism_without_a_law_names_the_one_that_it_is_most_like() -> None:
     term, evidence = Term("unknown", 1, {}), Evidence(9, 9, np.ones(2))
     claim = Claim("unknown", "dry_friction", term, 0.3, evidence, 9, {}, (), (), ())
-    plain: Any = SimpleNamespace(near=None, after=Size(0.01, 0.01, 0.01))
+    # a refinement explains what the law leaves
+    plain: Any = SimpleNamespace(near=None, after=Size(0.0, 0.0, 0.0), bare=Size(0.01, 0.01, 0.01))
     assert naming._nearest(claim, plain) == "none of the known laws describes it"
     plain.near = Near("position_friction", 0.3, 0.05, bent(["ripple"]))
     assert naming._nearest(claim, plain) == (

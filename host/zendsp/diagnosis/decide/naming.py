@@ -330,16 +330,15 @@ def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) ->
 
 def _nearest(claim: Claim, decision: Decision) -> str:
     """A sentence on the nearest laws of a mechanism that is claimed without one."""
-    law, left, why = claim.term.effect, decision.after.value, claim.why
+    # by itself: refinements are no part of the law
+    law, left, why = claim.term.effect, decision.bare.value, claim.why
     if law == "unknown":
         if decision.near is None:
             return "none of the known laws describes it"
         law, left, why = decision.near.effect, decision.near.after, decision.near.why
     because = f": {why}" if why else ""
-    return (
-        f"it is most like {law}, with which {percent(left)} % of the torque stays unexplained, and"
-        f" is not called that{because}"
-    )
+    leaves = f", with which {percent(left)} % of the torque stays unexplained," if left else ""
+    return f"it is most like {law}{leaves} and is not called that{because}"
 
 
 def _drawn(given: Model, decision: Decision, whole: Assembled, claim: Claim) -> str:

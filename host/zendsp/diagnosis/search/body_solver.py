@@ -51,8 +51,8 @@ class _Squares:
 
 class Solver:
     """Linear fits of hypotheses to the recordings of the fit, and their evidence on those to choose
-    by. There the nuisance is fitted again, for any hypothesis and for none: only the numbers of the
-    hypothesis are predicted.
+    by. There friction is fitted again, for any hypothesis and for none: the numbers of the
+    hypothesis, the offset and the rotor beside them are predicted.
 
     ``origin``: coefficients of the part of a hypothesis that the model behind the sums has already.
     ``aside``: joints (1-based) with a fault of their own, whose gain, rotor and functions of
@@ -81,8 +81,10 @@ class Solver:
         outs = [free + more + own if j + 1 in aside else free for j in range(layout.joints)]
         self.complete = completed(whole, outs)
         # friction between the speeds of the fit says little beyond them, and each recording has
-        # its own; a body has not
-        self.chosen = self.complete if choose is fit else completed(choose.whole, outs)
+        # its own; a rotor, an offset and a body are the same in all
+        friction = list(range(1, n - 1))
+        each = [friction + own if j + 1 in aside else friction for j in range(layout.joints)]
+        self.chosen = self.complete if choose is fit else again(choose.whole, each, self.complete)
         self.rest = np.swapaxes(self.complete, 1, 2) @ whole @ self.complete
         self.counts = fit.counts.sum(axis=1)
         self._squares_of: dict[Hypothesis, Array] = {}
@@ -349,6 +351,17 @@ def completed(whole: Array, outs: list[list[int]]) -> Array:
     out[:, NUISANCE:] = np.eye(width - NUISANCE)
     for j, g in enumerate(whole):
         out[j, outs[j]] -= solve(g[np.ix_(outs[j], outs[j])], g[outs[j], NUISANCE:])
+    return out
+
+
+def again(whole: Array, outs: list[list[int]], complete: Array) -> Array:
+    """Such matrices with some of the nuisance columns (``outs``, of each joint) fitted again to
+    other recordings, and the others as they are.
+    """
+    out = complete.copy()
+    for j, g in enumerate(whole):
+        own, keep = outs[j], [k for k in range(len(g)) if k not in outs[j]]
+        out[j, own] = -solve(g[np.ix_(own, own)], g[np.ix_(own, keep)] @ out[j, keep])
     return out
 
 
