@@ -63,6 +63,13 @@ def without(
     return Rest((fit, choose, test), Parts(prepare(fit, given, 64.0), chosen, untouched))
 
 
+def split_alone(one: Signals, given: Model) -> Rest | None:
+    """One recording by itself, in three parts; None where it is too short."""
+    begin, end, _ = split([one])
+    choose, test, _ = halves(end)
+    return without((begin, choose, test), [], given)
+
+
 def without_one(
     found: Found, signals: Sequence[Sequence[Signals]], given: Model, jobs: int, tell: Progress
 ) -> Found | None:
@@ -141,10 +148,7 @@ def by_one_alone(
     name = longest.whole or longest.name
     others = [s.whole or s.name for part in signals for s in part if (s.whole or s.name) != name]
     alone = without(signals, others, given)
-    if alone is None:
-        begin, end, _ = split([longest])
-        choose, test, _ = halves(end)
-        alone = without((begin, choose, test), [], given)
+    alone = alone or split_alone(longest, given)
     if alone is None:
         return found
     tell(Step.ASSEMBLING.says(f"once more, {name} alone"))

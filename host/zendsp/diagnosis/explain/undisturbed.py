@@ -20,6 +20,7 @@ from zendsp.diagnosis.decide.thresholds import LAWFUL
 from zendsp.diagnosis.explain.machine import Found, find_once, kept
 from zendsp.diagnosis.explain.one_apart import (
     by_one_alone,
+    split_alone,
     with_other_zeros,
     without,
     without_one,
@@ -82,6 +83,10 @@ def _without_loads(
     names = tuple(name for load in loads for name in load.names)
     tell(Step.ASSEMBLING.says("once more, without the recordings of another load"))
     rest = without(signals, names, given)
+    if rest is None:  # the load may have been taken up before all that is held out
+        pieces = [s for s in signals[0] if s.whole == s.name and s.name not in names]
+        longest = max(pieces, key=lambda s: len(s.time), default=None)
+        rest = split_alone(longest, given) if longest is not None else None
     if rest is None:
         if not all(load.is_sure for load in loads):
             return None
