@@ -32,8 +32,8 @@ from zendsp.physics.model import Model
 def test_a_tilt_hidden_from_fast_observers_is_found_by_slower_ones(
     tmp_path: Path, tilt: float
 ) -> None:
-    """A controller reacts to encoder counts of 6 mrad and shakes the arm."""
-    arm = Arm(tilt=tilt, counts=0.006)
+    """A controller reacts to encoder counts of 8 mrad and shakes the arm."""
+    arm = Arm(tilt=tilt, counts=0.008)
     model, _ = made = recorded(tmp_path, "tilt", arm, friction=True)
     fit, choose = prepared(made)
 
