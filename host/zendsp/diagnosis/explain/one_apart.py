@@ -147,8 +147,7 @@ def by_one_alone(
     longest = max(signals[0], key=lambda s: len(s.time))
     name = longest.whole or longest.name
     others = [s.whole or s.name for part in signals for s in part if (s.whole or s.name) != name]
-    alone = without(signals, others, given)
-    alone = alone or split_alone(longest, given)
+    alone = without(signals, others, given) or split_alone(longest, given)
     if alone is None:
         return found
     tell(Step.ASSEMBLING.says(f"once more, {name} alone"))

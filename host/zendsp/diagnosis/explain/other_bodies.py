@@ -63,7 +63,7 @@ def other_bodies(
     joints = range(1, given.joints + 1)
     if not may_be_loaded(found, given):
         return ()
-    each = _by_recording(signals)
+    each = pieces_of(signals)
     if len(each) < 2:
         return ()
     tell(Step.ASSEMBLING.says("what each recording says of bodies"))
@@ -120,7 +120,7 @@ def confirmed(
     """
     if all(load.is_sure for load in loads):
         return tuple(loads)
-    each, model = _by_recording(signals), found.whole.improved
+    each, model = pieces_of(signals), found.whole.improved
     beside = [
         replace(
             load,
@@ -134,7 +134,7 @@ def confirmed(
     return tuple(beside) if all(load.is_sure for load in beside) else ()
 
 
-def _by_recording(signals: Sequence[Sequence[Signals]]) -> dict[str, list[Signals]]:
+def pieces_of(signals: Sequence[Sequence[Signals]]) -> dict[str, list[Signals]]:
     """The pieces of each recording, in their order."""
     out: dict[str, list[Signals]] = {}
     seen: set[int] = set()

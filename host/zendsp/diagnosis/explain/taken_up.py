@@ -14,6 +14,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
 from zendsp.diagnosis.decide.thresholds import PREDICTED
+from zendsp.diagnosis.explain.other_bodies import pieces_of
 from zendsp.diagnosis.search.body_columns import Layout, Sums
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis, hypotheses
 from zendsp.diagnosis.search.body_solver import Solver
@@ -38,20 +39,11 @@ def cut_where_taken(
     load changes; the pieces are recordings of their own, named after their times. As given where it
     changes nowhere.
     """
-    wholes = list(dict.fromkeys(s.whole or s.name for part in signals for s in part))
-    times = {
-        name: _changes([s for s in _once(signals) if (s.whole or s.name) == name], given, jobs)
-        for name in wholes
-    }
+    times = {name: _changes(own, given, jobs) for name, own in pieces_of(signals).items()}
     return [
         [piece for s in part for piece in _pieces(s, times[s.whole or s.name])]
         for part in signals
     ]
-
-
-def _once(signals: Sequence[Sequence[Signals]]) -> list[Signals]:
-    """All recordings; those to choose by may be those to test on."""
-    return list({id(s): s for part in signals for s in part}.values())
 
 
 def _changes(pieces: Sequence[Signals], given: Model, jobs: int) -> list[float]:

@@ -432,9 +432,7 @@ class Rounds:
             for numbers in get_effect(term.effect).tries:
                 other = with_numbers(rival.scored.model, term.effect, self.joint, numbers)
                 options.append(
-                    fit_scored(
-                        data, other, handles, (self.joint,), jobs=jobs, rounds=2
-                    )
+                    fit_scored(data, other, handles, (self.joint,), jobs=jobs, rounds=2)
                 )
         best = min(options, key=lambda s: s.deviance)
         return replace(rival, scored=slower(best, self.joint, jobs))
